@@ -17,12 +17,12 @@ fn main() {
     };
     files.retain(|file| file.extension().is_some_and(|end| end == "dfu") && file.with_extension("toml").is_file());
     files.sort();
-    let mut list = String::from("const IMAGES: &[Embedded] = &[\n");
+    let mut list = String::from("const IMAGES: &[EmbeddedImage] = &[\n");
     for file in &files {
         let board = file.file_stem().and_then(|stem| stem.to_str()).expect("an image is named after its board");
         let about = file.with_extension("toml");
         list += &format!(
-            "    Embedded {{ board: {board:?}, file: include_bytes!({file:?}), about: include_str!({about:?}) }},\n"
+            "    EmbeddedImage {{ board: {board:?}, file: include_bytes!({file:?}), about: include_str!({about:?}) }},\n"
         );
     }
     list += "];\n";

@@ -34,7 +34,7 @@ pub fn answers(data: &[u8]) {
     let _ = board.stop_stream();
     assert!(!board.losses().to_string().is_empty());
     if let Ok(backup) = Backup::read(&mut board) {
-        let _ = backup.ready();
+        let _ = backup.prepared_settings();
     }
 }
 

@@ -40,9 +40,9 @@ pub fn scene_file(data: &[u8]) {
 pub fn kept_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     if let Ok(backup) = Backup::parse(text) {
-        let ready = backup.ready();
+        let ready = backup.prepared_settings();
         let again = Backup::parse(&backup.to_text()).expect("a written backup is readable");
-        assert_eq!(again.ready(), ready, "the copy of a backup differs");
+        assert_eq!(again.prepared_settings(), ready, "the copy of a backup differs");
     }
     if let Ok(recording) = Recording::parse(text) {
         assert!(recording.rows.iter().all(|row| row.len() == recording.columns.len()));

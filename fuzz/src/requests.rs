@@ -36,7 +36,7 @@ pub fn bytes(data: &[u8]) {
     }
     // After a zero byte the board must decode the next request, regardless of the bytes before.
     completed_frames(&mut decoder, &[0]);
-    let request = completed_frames(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
+    let request = completed_frames(&mut decoder, &haptic_host::link::encode_plain(&frame(GetStatus::REQ_KEY, &[])));
     assert!(matches!(&request[..], [frame] if board.answer(frame).is_some()), "the board does not reply");
 }
 

@@ -4,7 +4,7 @@
 //! the same version gets the bytes unchanged; a board whose firmware stores the setting in another version gets the
 //! value, encoded again. Nothing is sent before the complete file has been decoded.
 
-use crate::digits::shortest;
+use crate::digits::shorten_all;
 use crate::link::{Board, BoardError};
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
@@ -47,7 +47,7 @@ pub struct SavedSetting {
 }
 
 impl SavedSetting {
-    /// Encodes a value as the board stores it; `None` if it is too long.
+    /// Encodes a value as the board stores it; `None` if the encoding is too long.
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
         Some(saved_setting(S::KEY, &encode(value).ok()?))
     }
@@ -97,7 +97,7 @@ pub struct PreparedSetting {
     /// The setting in this tool's encoding.
     pub entry: Entry,
     /// The way in which the setting is restored.
-    pub how: RestoreMethod,
+    pub method: RestoreMethod,
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
@@ -134,13 +134,13 @@ impl Backup {
         match value.get("haptic-backup").and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {}
             Some(format) => return Err(BackupError::Format(format as u32)),
-            None => return Err(BackupError::NotABackup("it has no \"haptic-backup\"".into())),
+            None => return Err(BackupError::NotABackup("the key \"haptic-backup\" is missing".into())),
         }
         serde_json::from_value(value).map_err(|error| BackupError::NotABackup(error.to_string()))
     }
 
     /// Returns every setting in this version's encoding, in the order to send them.
-    pub fn ready(&self) -> Result<Vec<PreparedSetting>, BackupError> {
+    pub fn prepared_settings(&self) -> Result<Vec<PreparedSetting>, BackupError> {
         if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
@@ -148,16 +148,16 @@ impl Backup {
         for key in RESTORE_ORDER {
             match self.settings.get(key.name()) {
                 Some(saved) => {
-                    let (entry, mut how) = usable_entry(key, saved)?;
+                    let (entry, mut method) = usable_entry(key, saved)?;
                     if key == Key::Polarity {
-                        how = RestoreMethod::NotRestored;
+                        method = RestoreMethod::NotRestored;
                     }
-                    ready.push(PreparedSetting { key, entry, how });
+                    ready.push(PreparedSetting { key, entry, method });
                 }
                 // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
                     let entry = encode(&MassModelData::Exact).map_err(|error| damage_error(key, error))?;
-                    ready.push(PreparedSetting { key, entry, how: RestoreMethod::Unchanged });
+                    ready.push(PreparedSetting { key, entry, method: RestoreMethod::Unchanged });
                 }
                 None => {}
             }
@@ -170,7 +170,7 @@ impl Backup {
 /// board has all of the settings or none. The motors must be off.
 pub fn restore(board: &mut Board, ready: &[PreparedSetting]) -> Result<(), BoardError> {
     let mut keys = KeyList::new();
-    for setting in ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored) {
+    for setting in ready.iter().filter(|setting| setting.method != RestoreMethod::NotRestored) {
         board.stage_entry(setting.key, setting.entry.clone())?;
         // The list has room for every key, and a backup contains each key once.
         let _ = keys.push(setting.key);
@@ -179,7 +179,7 @@ pub fn restore(board: &mut Board, ready: &[PreparedSetting]) -> Result<(), Board
 }
 
 /// Returns the names of the settings that a board would lose in a restart, because they differ from the saved settings.
-pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
+pub fn unsaved_settings(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
         Ok(saved.as_ref() != Some(now))
@@ -209,16 +209,16 @@ pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
 fn damage_error(key: Key, damage: Damage) -> BackupError {
     let reason = match damage {
         Damage::Corrupt => "its checksum or encoding is wrong".to_string(),
-        Damage::UnknownVersion(version) => format!("it is of version {version}, and its value is missing"),
-        Damage::OtherKey => "it belongs to another setting".to_string(),
-        Damage::TooLong => "it is too long".to_string(),
+        Damage::UnknownVersion(version) => format!("its bytes have version {version}, and its value is missing"),
+        Damage::OtherKey => "its bytes belong to another setting".to_string(),
+        Damage::TooLong => "its bytes are too long".to_string(),
     };
     BackupError::Damaged(key.name(), reason)
 }
 
 fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
     fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
-        serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shortest)
+        serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shorten_all)
     }
     let value = match key {
         Key::Device => value::<Device<f32>>(entry),
@@ -248,8 +248,8 @@ fn usable_entry_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, RestoreMe
     let bytes = from_hex(&saved.bytes).ok_or_else(|| damage_error(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {
-            let decoded = serde_json::to_value(&value).ok().map(shortest);
-            if saved.value.clone().is_some_and(|written| Some(shortest(written)) != decoded) {
+            let decoded = serde_json::to_value(&value).ok().map(shorten_all);
+            if saved.value.clone().is_some_and(|written| Some(shorten_all(written)) != decoded) {
                 return Err(BackupError::ValueAndBytesDiffer(S::KEY.name()));
             }
             let entry = Entry::from_slice(&bytes).map_err(|_| damage_error(S::KEY, Damage::TooLong))?;

@@ -114,23 +114,23 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "supply"]);
     let name = top.keep(name(top), "");
     let words: Vec<(&str, Kind)> = Kind::ALL.iter().map(|kind| (kind.spec().name, *kind)).collect();
-    let kind = top.required("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
+    let kind = top.require("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
     let spec = kind.spec();
 
     let axes = ["x", "x, y", "x, y, z"][(spec.task - 1).min(2)];
     let gravity = top.numbers("gravity", spec.task, Must::BeFinite, &format!("{axes} in m/s²"));
     let example = format!("gravity = {:?}", vec![0.0; spec.task]);
-    let gravity = top.keep(gravity.and_then(|value| top.required("gravity", value, example)), Vec::new());
+    let gravity = top.keep(gravity.and_then(|value| top.require("gravity", value, example)), Vec::new());
 
     let supply = top.keep(top.number("supply", Must::BePositive), None);
-    let table = top.table("geometry").and_then(|table| top.required("geometry", table, "[geometry]"));
+    let table = top.table("geometry").and_then(|table| top.require("geometry", table, "[geometry]"));
     let geometry_table = top.keep(table.map(Some), None);
     let geometry = geometry_table.as_ref().map_or([0.0; MAX_GEOMETRY], |table| geometry(table, &spec));
     let links = top.keep(links(top, &spec), Default::default());
     let joints = top.keep(joints(top, &spec), Default::default());
     let handle_mass = top.keep(top.table("handle"), None).map_or(0.0, |handle| {
         handle.refuse_unknown_keys(&["mass"]);
-        handle.needed("mass", Must::NotBeNegative, "mass = 0.01")
+        handle.required_number("mass", Must::NotBeNegative, "mass = 0.01")
     });
     let home = top.keep(home(top, &spec, &joints), None);
     // The following checks need values without errors.
@@ -167,7 +167,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
 }
 
 fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {
-    let name = top.required("name", top.string("name")?, "name = \"my-device\"")?;
+    let name = top.require("name", top.string("name")?, "name = \"my-device\"")?;
     if name.trim().is_empty() || name.chars().any(char::is_control) {
         let reason = "a device's name must be printable text on one line";
         return Err(top.error_at("name", impossible(reason, "write a name such as \"my-device\"")));
@@ -186,12 +186,12 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     let mut flat = Vec::with_capacity(MAX_GEOMETRY);
     for (key, count) in spec.geometry {
         if *count == 1 {
-            flat.push(table.needed(key, Must::BeFinite, format!("{key} = 0.1")));
+            flat.push(table.required_number(key, Must::BeFinite, format!("{key} = 0.1")));
             continue;
         }
         let values = table.numbers(key, *count, Must::BeFinite, "metres");
         let example = format!("{key} = {:?}", vec![0.1; *count]);
-        let values = values.and_then(|values| table.required(key, values, example));
+        let values = values.and_then(|values| table.require(key, values, example));
         flat.extend(table.keep(values, vec![f64::NAN; *count]));
     }
     padded(&flat)
@@ -209,10 +209,10 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
         let table = table.with_place(format!("[[link]] {index} ({name})"));
         table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
-        let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
+        let inertia = table.required_number("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
         links[index] = Link {
-            mass: table.needed("mass", Must::NotBeNegative, "mass = 0.02"),
-            com: table.needed("com", Must::BeFinite, "com = 0.03"),
+            mass: table.required_number("mass", Must::NotBeNegative, "mass = 0.02"),
+            com: table.required_number("com", Must::BeFinite, "com = 0.03"),
             inertia,
             inertia_axial: table.number_or("inertia_axial", Must::NotBeNegative, 0.0),
             inertia_transverse: table.number_or("inertia_transverse", Must::NotBeNegative, inertia),
@@ -274,7 +274,7 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
         let place = format!("[joint.{key}] of {}", table.place());
         table.keep(table.table(key), None).map(|part| part.with_place(place))
     };
-    let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 2.0e-6");
+    let inertia = table.required_number("inertia", Must::NotBeNegative, "inertia = 2.0e-6");
     let coulomb = table.number_or("coulomb", Must::NotBeNegative, 0.0);
     let (rigid, transmission) = match table.is_string("transmission") {
         true => (table.keep(table.word("transmission", &[("rigid", true)]), None).is_some(), None),
@@ -307,10 +307,10 @@ pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
 /// `includes_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
-    let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
+    let stiffness = table.required_number("stiffness", Must::BePositive, "stiffness = 50.0");
     let damping = table.number_or("damping", Must::NotBeNegative, 0.0);
     let motor_inertia = match table.number("motor_inertia", Must::BePositive)? {
-        None if includes_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
+        None if includes_body => table.require("motor_inertia", None, "motor_inertia = 1.0e-5")?,
         None if inertia == 0.0 => {
             let reason = "a transmission needs a motor with inertia on one side, and this joint has no inertia";
             let remedy = "write the rotor's reflected inertia as the joint's `inertia`";
@@ -332,8 +332,8 @@ fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Resu
 /// Reads the friction at rest of a joint with Coulomb friction `coulomb`, N m.
 fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
     table.refuse_unknown_keys(&["static", "stribeck_speed"]);
-    let rest = table.needed("static", Must::NotBeNegative, format!("static = {:?}", 1.5 * coulomb));
-    let stribeck_speed = table.needed("stribeck_speed", Must::BePositive, "stribeck_speed = 0.1");
+    let rest = table.required_number("static", Must::NotBeNegative, format!("static = {:?}", 1.5 * coulomb));
+    let stribeck_speed = table.required_number("stribeck_speed", Must::BePositive, "stribeck_speed = 0.1");
     if rest < coulomb {
         let reason =
             format!("static is {rest} N m, less than the joint's coulomb ({coulomb}): friction is largest at rest");
@@ -345,8 +345,8 @@ fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
 fn cogging_of(table: &Table<'_>) -> Cogging {
     table.refuse_unknown_keys(&["amplitude", "per_turn"]);
     Cogging {
-        amplitude: table.needed("amplitude", Must::NotBeNegative, "amplitude = 0.001"),
-        per_turn: table.needed("per_turn", Must::BePositive, "per_turn = 24"),
+        amplitude: table.required_number("amplitude", Must::NotBeNegative, "amplitude = 0.001"),
+        per_turn: table.required_number("per_turn", Must::BePositive, "per_turn = 24"),
     }
 }
 
@@ -362,9 +362,9 @@ fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileE
         let table = table.with_place(format!("[[joint.mode]] {index} of {}", joint.place()));
         table.refuse_unknown_keys(&["frequency", "damping", "inertia"]);
         modes[index] = Some(StructuralMode {
-            frequency: table.needed("frequency", Must::BePositive, "frequency = 150.0"),
+            frequency: table.required_number("frequency", Must::BePositive, "frequency = 150.0"),
             damping: table.number_or("damping", Must::NotBeNegative, 0.0),
-            inertia: table.needed("inertia", Must::BePositive, "inertia = 1.0e-5"),
+            inertia: table.required_number("inertia", Must::BePositive, "inertia = 1.0e-5"),
         });
     }
     Ok(modes)
@@ -384,7 +384,7 @@ fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
 fn encoder_of(table: &Table<'_>) -> Encoder {
     table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted"]);
     Encoder {
-        counts_per_turn: table.needed("counts_per_turn", Must::BePositive, "counts_per_turn = 16384"),
+        counts_per_turn: table.required_number("counts_per_turn", Must::BePositive, "counts_per_turn = 16384"),
         offset: table.number_or("offset", Must::BeFinite, 0.0),
         inverted: table.flag_or("inverted", false),
     }
@@ -392,13 +392,13 @@ fn encoder_of(table: &Table<'_>) -> Encoder {
 
 fn motor_of(table: &Table<'_>) -> Motor<f64> {
     table.refuse_unknown_keys(&["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
-    let torque_constant = table.needed("torque_constant", Must::BePositive, "torque_constant = 0.05");
+    let torque_constant = table.required_number("torque_constant", Must::BePositive, "torque_constant = 0.05");
     Motor {
         torque_constant,
-        resistance: table.needed("resistance", Must::BePositive, "resistance = 2.0"),
+        resistance: table.required_number("resistance", Must::BePositive, "resistance = 2.0"),
         inductance: table.number_or("inductance", Must::NotBeNegative, 0.0),
         back_emf: table.number_or("back_emf", Must::NotBeNegative, torque_constant),
-        max_current: table.needed("max_current", Must::BePositive, "max_current = 3.0"),
+        max_current: table.required_number("max_current", Must::BePositive, "max_current = 3.0"),
         verified: table.flag_or("verified", false),
     }
 }
@@ -407,7 +407,7 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
     let Some(table) = top.table("home")? else { return Ok(None) };
     table.refuse_unknown_keys(&["q"]);
     let q = table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
-    let q = table.required("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
+    let q = table.require("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
     for (index, (angle, joint)) in q.iter().zip(joints).enumerate() {
         if let Some((low, high)) = joint.limits
             && !(low..=high).contains(angle)
@@ -431,7 +431,7 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
 /// Returns the first joint whose modes, together with the modes of the joints before this joint, leave the links no
 /// inertia at the angles `q`, rad.
 fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
-    fn first<const N: usize, M: Mechanism<f64, N>>(
+    fn first_joint<const N: usize, M: Mechanism<f64, N>>(
         mechanism: &M,
         description: &Description,
         q: &[f64; MAX_JOINTS],
@@ -452,7 +452,7 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
         return None;
     }
     let links = AnyMechanism::new(&description.link_side()).ok()?;
-    with_mechanism!(&links, m => first(m, description, q))
+    with_mechanism!(&links, m => first_joint(m, description, q))
 }
 
 /// Returns true if the linkage closes at these joint angles.

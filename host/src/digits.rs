@@ -7,7 +7,7 @@ use serde_json::{Number, Value};
 use std::io;
 
 /// Returns the number with the fewest digits that rounds to the same `f32`, because an `f32` widened to `f64` has
-/// digits without meaning. Returns `number` unchanged if it is not an `f32` or is shorter in double precision.
+/// digits without meaning. Returns a `number` that is no `f32`, or shorter in double precision, unchanged.
 pub(crate) fn shorten(number: f64) -> f64 {
     let single = number as f32;
     if f64::from(single) != number {
@@ -18,14 +18,14 @@ pub(crate) fn shorten(number: f64) -> f64 {
 }
 
 /// Returns the document with every single-precision number in the fewest digits.
-pub fn shortest(document: Value) -> Value {
+pub fn shorten_all(document: Value) -> Value {
     match document {
         Value::Number(number) if number.is_f64() => {
             let short = number.as_f64().and_then(|wide| Number::from_f64(shorten(wide)));
             Value::Number(short.unwrap_or(number))
         }
-        Value::Array(values) => values.into_iter().map(shortest).collect(),
-        Value::Object(map) => Value::Object(map.into_iter().map(|(key, value)| (key, shortest(value))).collect()),
+        Value::Array(values) => values.into_iter().map(shorten_all).collect(),
+        Value::Object(map) => Value::Object(map.into_iter().map(|(key, value)| (key, shorten_all(value))).collect()),
         other => other,
     }
 }
@@ -40,7 +40,7 @@ impl Formatter for ShortNumbers {
 }
 
 /// Formats a JSON document on one line, with numbers in the fewest digits.
-fn line(document: impl Serialize) -> Result<String, Failure> {
+fn json_line(document: impl Serialize) -> Result<String, Failure> {
     let mut text = Vec::new();
     document
         .serialize(&mut serde_json::Serializer::with_formatter(&mut text, ShortNumbers))
@@ -50,7 +50,7 @@ fn line(document: impl Serialize) -> Result<String, Failure> {
 
 /// Writes one JSON document to standard output, with numbers in the fewest digits.
 pub fn print_json(document: impl Serialize) -> Result<(), Failure> {
-    print(&line(document)?)
+    print(&json_line(document)?)
 }
 
 #[cfg(test)]
@@ -63,9 +63,9 @@ mod tests {
         let document =
             json!({ "single": [0.08f32, 2.3f32, -1.862_645_1e-9f32, 24.0f32], "double": 0.1 + 0.2, "count": 3 });
         let expected = r#"{"count":3,"double":0.30000000000000004,"single":[0.08,2.3,-1.8626451e-9,24.0]}"#;
-        assert_eq!(line(&document).unwrap(), format!("{expected}\n"));
-        assert_eq!(shortest(document).to_string(), expected);
+        assert_eq!(json_line(&document).unwrap(), format!("{expected}\n"));
+        assert_eq!(shorten_all(document).to_string(), expected);
         // Whole numbers keep all of their digits.
-        assert_eq!(shortest(json!(33_554_436.0f32)).to_string(), "33554436.0");
+        assert_eq!(shorten_all(json!(33_554_436.0f32)).to_string(), "33554436.0");
     }
 }

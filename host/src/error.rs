@@ -11,7 +11,7 @@ use std::process::ExitCode;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blame {
     /// A valid request could not be carried out, as without a board or on a full disk. Exit code 1.
-    World,
+    System,
     /// The command line or a file is wrong. Exit code 2.
     Request,
     /// Two things that were compared differ. Exit code 3.
@@ -58,7 +58,7 @@ pub struct Failure {
 impl Failure {
     /// Creates a failure of a valid request (exit code 1).
     pub fn impossible(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, further_lines: Vec::new() }
+        Self { blame: Blame::System, reason: reason.to_string(), remedy: None, choice: None, further_lines: Vec::new() }
     }
     /// Creates a failure of a wrong command or file (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
@@ -79,7 +79,7 @@ impl Failure {
         self
     }
     /// Adds further errors, one line each.
-    pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
+    pub fn with_further_lines(mut self, lines: impl IntoIterator<Item = String>) -> Self {
         self.further_lines.extend(lines);
         self
     }
@@ -94,7 +94,7 @@ impl Failure {
     /// Returns the exit code of the process.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self.blame {
-            Blame::World => 1,
+            Blame::System => 1,
             Blame::Request => 2,
             Blame::Difference => 3,
         })
@@ -117,15 +117,15 @@ impl std::error::Error for Failure {}
 /// Makes a text safe for a terminal: escapes control characters, such as an ESC in a board's name, as in JSON. Keeps
 /// newlines and tabs.
 pub fn visible(text: &str) -> Cow<'_, str> {
-    escaped(text, &['\n', '\t'])
+    escape(text, &['\n', '\t'])
 }
 
 /// Like [`visible`], but also escapes newlines and tabs, for a name within a line.
 pub fn on_one_line(name: &str) -> Cow<'_, str> {
-    escaped(name, &[])
+    escape(name, &[])
 }
 
-fn escaped<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
+fn escape<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
     // Direction marks and line separators.
     let marks = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let is_unsafe = |c: char| (c.is_control() || marks(c)) && !allowed.contains(&c);

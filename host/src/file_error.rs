@@ -129,20 +129,20 @@ impl Problem {
             Self::NotReadableFile(_) => "name a TOML file".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "correct the TOML at this place".into(),
-            Self::Foreign(format) => format.instead.into(),
-            Self::UnknownKey { on_top: true, .. } => "it belongs at the top of the file, above the first table".into(),
-            Self::UnknownKey { key, place, .. } if let Some(instead) = instead_of(key, place) => instead.into(),
+            Self::Foreign(format) => format.remedy.into(),
+            Self::UnknownKey { on_top: true, .. } => "the key belongs at the top of the file, above all tables".into(),
+            Self::UnknownKey { key, place, .. } if let Some(instead) = sheet_word_remedy(key, place) => instead.into(),
             Self::UnknownKey { nearest: Some(nearest), .. } => format!("did you mean `{nearest}`?"),
-            Self::UnknownKey { nearest: None, known, .. } if known.is_empty() => "remove it".into(),
+            Self::UnknownKey { nearest: None, known, .. } if known.is_empty() => "remove this key".into(),
             Self::UnknownKey { nearest: None, known, .. } => {
-                format!("remove it; known here: {}", known.join(", "))
+                format!("remove this key; known here: {}", known.join(", "))
             }
             Self::MissingKey { example, .. } => format!("add `{example}`"),
             Self::WrongType { expected, .. } => format!("write {expected}"),
             Self::WrongLength { expected: 1, meaning, .. } => format!("write one number: {meaning}"),
             Self::WrongLength { expected, meaning, .. } => format!("write {expected} numbers: {meaning}"),
             Self::NotFinite { .. } => "write an ordinary number, in SI units".into(),
-            Self::OutOfRange { must, .. } => format!("it must be {must}"),
+            Self::OutOfRange { must, .. } => format!("the value must be {must}"),
             Self::UnknownWord { found, known, .. } => match nearest(found, known) {
                 Some(nearest) => format!("did you mean \"{nearest}\"? known: {}", known.join(", ")),
                 None => format!("known: {}", known.join(", ")),
@@ -200,7 +200,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["lines", "ppr", "pulses_per_turn"],
         "",
-        "write counts_per_turn = 4 x lines x gear ratio: it counts the edges of A and B, at the joint",
+        "write counts_per_turn = 4 x lines x gear ratio: the edges of A and B in one turn of the joint",
     ),
     (
         &["cpr", "resolution", "ticks", "ticks_per_turn", "counts_per_rev", "counts_per_revolution"],
@@ -222,7 +222,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["noise", "jitter", "backlash", "play", "slip", "hysteresis"],
         "",
-        "leave it out: noise, backlash and slip cannot be described yet, and simulation and predictions ignore them",
+        "leave this key out: noise, backlash and slip cannot be described yet, and simulation and predictions ignore them",
     ),
     (
         &["rotor_inertia", "armature", "reflected_inertia"],
@@ -243,7 +243,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
 ];
 
 /// Returns the remedy for a data sheet's word `key` in the table `place`.
-fn instead_of(key: &str, place: &str) -> Option<&'static str> {
+fn sheet_word_remedy(key: &str, place: &str) -> Option<&'static str> {
     let key = key.to_lowercase().replace('-', "_");
     let meant = |(words, part, _): &&(&[&str], &str, &str)| words.contains(&key.as_str()) && place.contains(part);
     SHEET_WORDS.iter().find(meant).map(|(_, _, instead)| *instead)
@@ -253,7 +253,7 @@ fn instead_of(key: &str, place: &str) -> Option<&'static str> {
 #[derive(Debug, PartialEq, Eq)]
 pub struct ForeignFormat {
     name: &'static str,
-    instead: &'static str,
+    remedy: &'static str,
 }
 
 impl ForeignFormat {
@@ -261,26 +261,26 @@ impl ForeignFormat {
     pub fn of(text: &str) -> Option<&'static Self> {
         const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \
                                 limits from this file (docs/devices.md)";
-        const WRITE: &str = "write it as TOML: `haptic new` shows every key (docs/devices.md)";
+        const WRITE: &str = "write the file as TOML: `haptic new` shows every key (docs/devices.md)";
         let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
         let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
         let key = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "_- ".contains(c));
         Some(match () {
             () if text.starts_with('<') && text.contains("xacro") => {
-                &Self { name: "xacro (a URDF template)", instead: DESCRIBE }
+                &Self { name: "xacro (a URDF template)", remedy: DESCRIBE }
             }
-            () if text.starts_with('<') && text.contains("<robot") => &Self { name: "URDF", instead: DESCRIBE },
+            () if text.starts_with('<') && text.contains("<robot") => &Self { name: "URDF", remedy: DESCRIBE },
             () if text.starts_with('<') && text.contains("<mujoco") => {
-                &Self { name: "MJCF (a MuJoCo model)", instead: DESCRIBE }
+                &Self { name: "MJCF (a MuJoCo model)", remedy: DESCRIBE }
             }
-            () if text.starts_with('<') => &Self { name: "XML", instead: DESCRIBE },
-            () if text.starts_with('{') => &Self { name: "JSON", instead: WRITE },
+            () if text.starts_with('<') => &Self { name: "XML", remedy: DESCRIBE },
+            () if text.starts_with('{') => &Self { name: "JSON", remedy: WRITE },
             () if first == "---" || first.split_once(':').is_some_and(|(word, _)| key(word)) => {
-                &Self { name: "YAML", instead: WRITE }
+                &Self { name: "YAML", remedy: WRITE }
             }
             () if first.contains(',') && first.split(',').all(|word| key(word.trim())) => &Self {
                 name: "a table (CSV)",
-                instead: "name a device or scene file in TOML; `haptic plot` draws recordings",
+                remedy: "name a device or scene file in TOML; `haptic plot` draws recordings",
             },
             () => return None,
         })
@@ -288,7 +288,7 @@ impl ForeignFormat {
 }
 
 /// Formats `key` in `place`, or `key` alone at the top of the file.
-fn at(key: &str, place: &str) -> String {
+fn key_in_place(key: &str, place: &str) -> String {
     if place.is_empty() { format!("`{key}`") } else { format!("`{key}` in {place}") }
 }
 
@@ -299,19 +299,19 @@ impl fmt::Display for Problem {
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
             Self::Foreign(format) => write!(f, "this is {}, which cannot be read yet, and not TOML", format.name),
-            Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", at(key, place)),
-            Self::MissingKey { key, place, .. } => write!(f, "{} is missing", at(key, place)),
+            Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", key_in_place(key, place)),
+            Self::MissingKey { key, place, .. } => write!(f, "{} is missing", key_in_place(key, place)),
             Self::WrongType { key, place, expected, found } => {
-                write!(f, "{} is {found}, not {expected}", at(key, place))
+                write!(f, "{} is {found}, not {expected}", key_in_place(key, place))
             }
             Self::WrongLength { key, place, expected, found, .. } => {
                 let noun = if *found == 1 { "number" } else { "numbers" };
-                write!(f, "{} has {found} {noun} instead of {expected}", at(key, place))
+                write!(f, "{} has {found} {noun} instead of {expected}", key_in_place(key, place))
             }
-            Self::NotFinite { key, place } => write!(f, "{} is not a finite number", at(key, place)),
-            Self::OutOfRange { key, place, found, .. } => write!(f, "{} cannot be {found}", at(key, place)),
+            Self::NotFinite { key, place } => write!(f, "{} is not a finite number", key_in_place(key, place)),
+            Self::OutOfRange { key, place, found, .. } => write!(f, "{} cannot be {found}", key_in_place(key, place)),
             Self::UnknownWord { key, place, found, .. } => {
-                write!(f, "{} cannot be \"{}\"", at(key, place), found.escape_debug())
+                write!(f, "{} cannot be \"{}\"", key_in_place(key, place), found.escape_debug())
             }
             Self::WrongCount { table, expected, found, .. } => {
                 write!(f, "{found} {table} tables instead of {expected}")
@@ -332,7 +332,7 @@ impl std::error::Error for FileError {}
 
 impl From<FileError> for crate::error::Failure {
     fn from(error: FileError) -> Self {
-        Self::wrong(error.line()).also(error.others.iter().map(FileError::line))
+        Self::wrong(error.line()).with_further_lines(error.others.iter().map(FileError::line))
     }
 }
 

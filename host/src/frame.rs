@@ -4,13 +4,13 @@
 use haptic_bridge::model::catalogue::Kind;
 use std::str::FromStr;
 
-/// For each of CHAI3D's axes, the index and sign of the task axis; `None` if the device does not move along it.
+/// For each of CHAI3D's axes, the index and sign of the task axis; `None` if the device does not move along this axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axes(pub [Option<(usize, f64)>; 3]);
 
 impl Axes {
     /// Returns the axes of a mechanism in its usual position. A planar device stands upright if `has_weight`, otherwise
-    /// it lies on the table.
+    /// lies on the table.
     pub fn of(kind: Kind, has_weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));

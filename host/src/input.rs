@@ -9,12 +9,12 @@ pub const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Size limit of a recording, bytes: 15 minutes of all fields at 20 kHz.
 pub const MAX_RECORDING_BYTES: u64 = 2 << 30;
 
-/// Reads a regular file (following links) of at most [`MAX_FILE_BYTES`] bytes. Refuses a pipe or a device before opening it,
-/// because reading it might block or never end.
+/// Reads a regular file (following links) of at most [`MAX_FILE_BYTES`] bytes. Refuses a pipe or a device before
+/// opening it, because reading it might block or never end.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
     let bytes = read_limited(path, MAX_FILE_BYTES + 1)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(Error::other("it has more than 1 MiB, too much for a file of this kind"));
+        return Err(Error::other("the file has more than 1 MiB, too much for a file of this kind"));
     }
     Ok(bytes)
 }
@@ -23,7 +23,7 @@ pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
 pub fn read_recording(path: &Path) -> Result<Vec<u8>, Error> {
     if std::fs::metadata(path)?.len() > MAX_RECORDING_BYTES {
         return Err(Error::other(
-            "it has more than 2 GiB, too much to read into memory: record fewer fields or every nth row, or plot a part of it",
+            "more than 2 GiB, too much to read into memory: record fewer fields or every nth row, or plot a part of the file",
         ));
     }
     read_limited(path, MAX_RECORDING_BYTES)
@@ -37,15 +37,15 @@ pub fn read_any_size(path: &Path) -> Result<Vec<u8>, Error> {
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, Error> {
     let about = std::fs::metadata(path)?;
     if !about.is_file() && !about.is_dir() {
-        return Err(Error::other("it is a pipe or a device, not a file"));
+        return Err(Error::other("the path is a pipe or a device, not a file"));
     }
     let mut bytes = Vec::new();
-    // A file may grow while it is read, or report no size, like those in /proc.
+    // A file may grow during the read, or report no size, like the files in /proc.
     std::fs::File::open(path)?.take(limit).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
 /// Like [`read`], but returns text.
 pub fn read_to_string(path: &Path) -> Result<String, Error> {
-    String::from_utf8(read(path)?).map_err(|_| Error::other("it is not UTF-8 text"))
+    String::from_utf8(read(path)?).map_err(|_| Error::other("the file is not UTF-8 text"))
 }

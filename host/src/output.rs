@@ -73,7 +73,7 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Fail
             // A closed pipe (`--svg /dev/stdout | head`) is not an error.
             written.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
         }
-        Place::File => temporary(path, bytes).and_then(|temporary| rename_to(temporary, path, overwrite)),
+        Place::File => write_temp(path, bytes).and_then(|temporary| rename_to(temporary, path, overwrite)),
     }
     .map_err(|error| write_failure(path, &error))
 }
@@ -84,7 +84,7 @@ pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<
     for (path, bytes) in files {
         match place(path, overwrite)? {
             Place::Special => write(path, bytes, overwrite)?,
-            Place::File => ready.push((path, temporary(path, bytes).map_err(|error| write_failure(path, &error))?)),
+            Place::File => ready.push((path, write_temp(path, bytes).map_err(|error| write_failure(path, &error))?)),
         }
     }
     for (path, temporary) in ready {
@@ -93,7 +93,7 @@ pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<
     Ok(())
 }
 
-/// Opens a file for appending rows. Returns the file, and true if it can be truncated to its last complete row.
+/// Opens a file for appending rows. Returns the file, and true if the file can be truncated to its last complete row.
 pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> {
     let opened = match place(path, overwrite)? {
         Place::Special => OpenOptions::new().write(true).open(path).map(|file| (file, false)),
@@ -147,7 +147,7 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
 }
 
 /// Writes the bytes to a temporary file in the folder of `target`.
-fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
+fn write_temp(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".haptic-").suffix(".partial");
     #[cfg(unix)]

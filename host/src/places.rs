@@ -36,13 +36,13 @@ impl Places {
     }
     /// Returns a place for a connection; `None` if the connection has already ended.
     ///
-    /// If no place is free, closes another connection: of the same address if it is at its limit, otherwise of the
-    /// address with the most places. Closes silent connections first, then the oldest.
+    /// If no place is free, closes another connection: of the same address if the address is at its limit, otherwise of
+    /// the address with the most places. Closes silent connections first, then the oldest.
     pub fn enter(&self, stream: &TcpStream) -> Option<Place> {
-        static NUMBERS: AtomicU64 = AtomicU64::new(0);
+        static NEXT_NUMBER: AtomicU64 = AtomicU64::new(0);
         let address = stream.peer_addr().ok()?.ip();
         let stream = stream.try_clone().ok()?;
-        let number = NUMBERS.fetch_add(1, Ordering::SeqCst);
+        let number = NEXT_NUMBER.fetch_add(1, Ordering::SeqCst);
         let mut connections = self.lock();
         let count = |connections: &[Connection], address: IpAddr| {
             connections.iter().filter(|other| other.address == address).count()

@@ -159,7 +159,7 @@ fn table<'a>(entries: &'a mut Vec<Entry>, table: &'static str, index: usize) -> 
     Writer { entries, table, index }
 }
 
-fn widened(values: &[f32]) -> Vec<f64> {
+fn to_f64(values: &[f32]) -> Vec<f64> {
     values.iter().map(|value| shorten(f64::from(*value))).collect()
 }
 
@@ -189,7 +189,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     }
     for (index, spring) in scene.springs.iter().enumerate() {
         let mut into = table(&mut entries, "[[spring]]", index);
-        into.numbers("point", &widened(&spring.point[..task]), "m");
+        into.numbers("point", &to_f64(&spring.point[..task]), "m");
         if spring.direction != [0.0; 3] {
             into.numbers("direction", &direction(&spring.direction, task), "");
         }
@@ -217,7 +217,7 @@ fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
         let Some((value, after)) = rest.split_at_checked(meaning.width()) else { return };
         rest = after;
         match (meaning, value) {
-            (Meaning::Point, point) => into.numbers(key, &widened(&point[..task]), "m"),
+            (Meaning::Point, point) => into.numbers(key, &to_f64(&point[..task]), "m"),
             (Meaning::Direction, [x, y, z]) => into.numbers(key, &direction(&[*x, *y, *z], task), ""),
             (Meaning::Length, [length]) => into.number(key, f64::from(*length), "m"),
             (Meaning::Flag, [flag]) => into.flag(key, *flag > 0.0),
@@ -242,7 +242,7 @@ fn rounding_interval(number: f32) -> (f64, f64) {
 /// `rounded` is not exactly 1, moves all entries by the same share of their rounding intervals until the length is 1.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
-    let short = widened(rounded);
+    let short = to_f64(rounded);
     let rounds_back = |values: &[f64]| {
         crate::vectors::unit(values).is_some_and(|unit| unit.iter().zip(rounded).all(|(a, b)| *a as f32 == *b))
     };
@@ -273,7 +273,7 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     into.number("viscous", joint.viscous.into(), "N m s/rad");
     into.number("coulomb", joint.coulomb.into(), "N m");
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &widened(&[low, high]), "rad");
+        into.numbers("limits", &to_f64(&[low, high]), "rad");
     }
     let size = f64::from(joint.radians_per_count.abs());
     if size > 0.0 {
@@ -308,7 +308,7 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
         put_joint(&mut entries, index, joint);
     }
     if let Some(home) = device.home {
-        table(&mut entries, "[home]", 0).numbers("q", &widened(&home[..spec.joints]), "rad");
+        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
     }
     entries
 }

@@ -63,7 +63,7 @@ impl SceneFile {
     }
     /// Returns the indices of the one-sided walls that contain the tip at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
-        fn entered<const N: usize, M: Mechanism<f64, N>>(
+        fn entered_walls<const N: usize, M: Mechanism<f64, N>>(
             m: &M,
             scene: &Scene<f64>,
             q: &[f64; MAX_JOINTS],
@@ -74,7 +74,7 @@ impl SceneFile {
             let inside = walls.filter(|(_, wall)| wall.surface.contact::<Libm, N>(&tip).distance < 0.0);
             inside.map(|(index, _)| index).collect()
         }
-        with_mechanism!(&device.mechanism, m => entered(m, &self.scene, q))
+        with_mechanism!(&device.mechanism, m => entered_walls(m, &self.scene, q))
     }
 
     /// Checks a document.
@@ -119,7 +119,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     // A wrong rate becomes NaN, so that comparisons with the rate report no further errors.
     let rate_hz = top.keep(rate(top), f64::NAN);
     let cutoff_hz = top.number_or("cutoff_hz", Must::BePositive, DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
-    top.keep(below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz), ());
+    top.keep(check_below_half_rate(top, "cutoff_hz", cutoff_hz, rate_hz), ());
     let mut scene = Scene {
         task: task as u8,
         rate_hz,
@@ -135,22 +135,22 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     let walls = top.keep(top.tables("wall"), Vec::new());
     for table in &walls {
         let Some(wall) = top.keep(wall(table, task, rate_hz), None) else { continue };
-        scene.walls.push(wall).map_err(|_| too_many(table, "[[wall]]", walls.len(), MAX_WALLS))?;
+        scene.walls.push(wall).map_err(|_| too_many_error(table, "[[wall]]", walls.len(), MAX_WALLS))?;
     }
     let springs = top.keep(top.tables("spring"), Vec::new());
     for table in &springs {
         let spring = spring(table, task);
-        scene.springs.push(spring).map_err(|_| too_many(table, "[[spring]]", springs.len(), MAX_SPRINGS))?;
+        scene.springs.push(spring).map_err(|_| too_many_error(table, "[[spring]]", springs.len(), MAX_SPRINGS))?;
     }
     for table in top.keep(top.tables("field"), Vec::new()) {
         table.refuse_unknown_keys(&["damping"]);
-        scene.field_damping += table.needed("damping", Must::NotBeNegative, "damping = 2.0");
+        scene.field_damping += table.required_number("damping", Must::NotBeNegative, "damping = 2.0");
     }
     top.check_no_errors()?;
     let with_feed_forward = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
     if scene.feed_forward_gain > 1.0 && with_feed_forward > 1 {
         let must = "at most 1 where several walls have a feed-forward";
-        return Err(out_of_range(top, "feed_forward_gain", scene.feed_forward_gain, must));
+        return Err(out_of_range_error(top, "feed_forward_gain", scene.feed_forward_gain, must));
     }
     Ok(scene)
 }
@@ -158,7 +158,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
 fn rate(top: &Table<'_>) -> Result<f64, FileError> {
     let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
     if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
-        return Err(out_of_range(top, "rate_hz", rate_hz, &format!("from {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
+        return Err(out_of_range_error(top, "rate_hz", rate_hz, &format!("from {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
     }
     Ok(rate_hz)
 }
@@ -174,7 +174,7 @@ fn estimator_with_key(top: &Table<'_>, estimator: Estimator) -> Result<Estimator
         let (least, most) = key.range;
         if found.fract() != 0.0 || !(f64::from(least)..=f64::from(most)).contains(&found) {
             let must = format!("a whole number from {least} to {most} ({})", key.unit);
-            return Err(out_of_range(top, key.name, found, &must));
+            return Err(out_of_range_error(top, key.name, found, &must));
         }
         value = found as u32;
     }
@@ -186,12 +186,12 @@ fn estimator_with_key(top: &Table<'_>, estimator: Estimator) -> Result<Estimator
 fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
     let gain = top.number("feed_forward_gain", Must::NotBeNegative)?.unwrap_or(1.0);
     if gain > MAX_FEED_FORWARD_GAIN {
-        return Err(out_of_range(top, "feed_forward_gain", gain, &format!("from 0 to {MAX_FEED_FORWARD_GAIN}")));
+        return Err(out_of_range_error(top, "feed_forward_gain", gain, &format!("from 0 to {MAX_FEED_FORWARD_GAIN}")));
     }
     Ok(gain)
 }
 
-fn too_many(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileError {
+fn too_many_error(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileError {
     table.error_here(Problem::WrongCount {
         table: name.into(),
         expected: format!("at most {most}"),
@@ -200,16 +200,16 @@ fn too_many(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileErr
     })
 }
 
-fn out_of_range(table: &Table<'_>, key: &str, found: f64, must: &str) -> FileError {
+fn out_of_range_error(table: &Table<'_>, key: &str, found: f64, must: &str) -> FileError {
     let place = table.place().to_string();
     table.error_at(key, Problem::OutOfRange { key: key.into(), place, found, must: must.into() })
 }
 
-fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -> Result<(), FileError> {
+fn check_below_half_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -> Result<(), FileError> {
     if found < 0.5 * rate_hz || rate_hz.is_nan() {
         return Ok(());
     }
-    Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
+    Err(out_of_range_error(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
 }
 
 /// Reads a wall. Returns `None` if the table has an unknown key.
@@ -233,10 +233,10 @@ fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>
     }
     let surface = surface(&table, &shape, task);
     let washout_hz = table.number_or("washout_hz", Must::BePositive, DEFAULT_WASHOUT_HZ);
-    table.keep(below_half_the_rate(&table, "washout_hz", washout_hz, rate_hz), ());
+    table.keep(check_below_half_rate(&table, "washout_hz", washout_hz, rate_hz), ());
     Ok(Some(Wall {
         surface,
-        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 2000.0"),
+        stiffness: table.required_number("stiffness", Must::NotBeNegative, "stiffness = 2000.0"),
         damping: table.number_or("damping", Must::NotBeNegative, 0.0),
         feed_forward: table.keep(table.word("feed_forward", &FeedForward::ALL), None).unwrap_or_default(),
         washout_hz,
@@ -252,7 +252,7 @@ fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
         match meaning {
             Meaning::Point => values.extend(point(table, key, task)),
             Meaning::Direction => values.extend(direction(table, key, task)),
-            Meaning::Length => values.push(table.needed(key, Must::BePositive, format!("{key} = 0.03"))),
+            Meaning::Length => values.push(table.required_number(key, Must::BePositive, format!("{key} = 0.03"))),
             Meaning::Flag => values.push(f64::from(u8::from(table.flag_or(key, false)))),
         }
     }
@@ -274,8 +274,8 @@ pub fn place_of(shape: &ShapeSpec, meaning: Meaning) -> Option<(&'static str, us
 fn posture(table: &Table<'_>) -> Posture<f64> {
     table.refuse_unknown_keys(&["orientation", "stiffness", "damping"]);
     Posture {
-        orientation: table.needed("orientation", Must::BeFinite, "orientation = 2.0"),
-        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 1.0"),
+        orientation: table.required_number("orientation", Must::BeFinite, "orientation = 2.0"),
+        stiffness: table.required_number("stiffness", Must::NotBeNegative, "stiffness = 1.0"),
         damping: table.number_or("damping", Must::NotBeNegative, 0.0),
     }
 }
@@ -285,7 +285,7 @@ fn spring(table: &Table<'_>, task: usize) -> Spring<f64> {
     Spring {
         point: point(table, "point", task),
         direction: if table.has("direction") { direction(table, "direction", task) } else { [0.0; 3] },
-        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 200.0"),
+        stiffness: table.required_number("stiffness", Must::NotBeNegative, "stiffness = 200.0"),
         damping: table.number_or("damping", Must::NotBeNegative, 0.0),
     }
 }
@@ -299,7 +299,7 @@ fn vector(table: &Table<'_>, key: &str, example: &[f64], meaning: &str) -> Resul
     let task = example.len();
     let axes = ["x", "x, y", "x, y, z"][task.clamp(1, 3) - 1];
     let values = table.numbers(key, task, Must::BeFinite, &format!("{axes}, {meaning} of this device"))?;
-    Ok(padded(&table.required(key, values, format!("{key} = {example:?}"))?))
+    Ok(padded(&table.require(key, values, format!("{key} = {example:?}"))?))
 }
 
 /// Reads a direction as a unit vector; refuses zero.

@@ -213,21 +213,21 @@ impl<'a> Table<'a> {
         self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
     }
     /// Returns the value. If `value` is `None`, returns an error with `example` as the line to add.
-    pub fn required<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
+    pub fn require<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
         value.ok_or_else(|| {
             self.error_here(Problem::MissingKey { key: key.into(), place: self.place.clone(), example: example.into() })
         })
     }
 
-    /// Reads a required number. Returns NaN if it is missing or wrong (see [`Table::keep`]).
-    pub fn needed(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
-        self.keep(self.number(key, must).and_then(|value| self.required(key, value, example)), f64::NAN)
+    /// Reads a required number. Returns NaN if the number is missing or wrong (see [`Table::keep`]).
+    pub fn required_number(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
+        self.keep(self.number(key, must).and_then(|value| self.require(key, value, example)), f64::NAN)
     }
-    /// Reads a number. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads a number. Returns `usual` if the number is missing or wrong (see [`Table::keep`]).
     pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
         self.keep(self.number(key, must), None).unwrap_or(usual)
     }
-    /// Reads `true` or `false`. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads `true` or `false`. Returns `usual` if the value is missing or wrong (see [`Table::keep`]).
     pub fn flag_or(&self, key: &str, usual: bool) -> bool {
         self.keep(self.flag(key), None).unwrap_or(usual)
     }
@@ -282,7 +282,7 @@ impl<'a> Table<'a> {
 
     /// Reads a number, which may be written as an integer.
     pub fn number(&self, key: &str, must: Must) -> Result<Option<f64>, FileError> {
-        self.entries.get(key).map(|value| self.numeric(key, value, must, "a number")).transpose()
+        self.entries.get(key).map(|value| self.to_number(key, value, must, "a number")).transpose()
     }
     /// Reads a list of exactly `count` numbers. Error messages describe the numbers by `meaning`.
     pub fn numbers(&self, key: &str, count: usize, must: Must, meaning: &str) -> Result<Option<Vec<f64>>, FileError> {
@@ -296,7 +296,7 @@ impl<'a> Table<'a> {
         };
         let numbers = values
             .iter()
-            .map(|value| self.numeric(key, value, must, &expected()))
+            .map(|value| self.to_number(key, value, must, &expected()))
             .collect::<Result<Vec<f64>, FileError>>()?;
         if numbers.len() != count {
             let problem = Problem::WrongLength {
@@ -311,7 +311,7 @@ impl<'a> Table<'a> {
         Ok(Some(numbers))
     }
 
-    fn numeric(&self, key: &str, value: &Spanned<DeValue<'_>>, must: Must, expected: &str) -> Result<f64, FileError> {
+    fn to_number(&self, key: &str, value: &Spanned<DeValue<'_>>, must: Must, expected: &str) -> Result<f64, FileError> {
         let number = match value.get_ref() {
             DeValue::Float(float) => float.as_str().parse::<f64>().unwrap_or(f64::NAN),
             DeValue::Integer(whole) => {

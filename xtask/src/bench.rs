@@ -18,12 +18,10 @@ const BINARY: &str = "haptic-counting";
 /// Largest allowed ratio of a variant's instructions to the stored count.
 const MAX_GROWTH: f64 = 1.01;
 
-/// Returns the path of the stored counts.
 fn counts_file() -> PathBuf {
     root().join("crates/predict/src/bench/counts.json")
 }
 
-/// Builds the counting image and returns its path.
 fn image() -> Result<PathBuf> {
     tools::check(&[Tool::Chip])?;
     let mut command = chip_cargo();
@@ -73,7 +71,7 @@ pub fn refresh() -> Result<()> {
     ]))
 }
 
-/// Counts the instructions of all variants. Fails if a count is over 1 % above the stored one, or if variants changed.
+/// Counts the instructions of all variants. Fails if a count is over 1 % above the stored count, or if variants change.
 pub fn check() -> Result<()> {
     let stored: Value =
         serde_json::from_str(&fs::read_to_string(counts_file()).context("counts.json cannot be read")?)?;

@@ -76,7 +76,6 @@ fn megabytes(file: &Path) -> Result<String> {
     Ok(format!("{:.1} MB", 1e-6 * bytes as f64))
 }
 
-/// Creates or empties a folder.
 fn create_empty(folder: &Path) -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
@@ -88,7 +87,6 @@ fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Returns the standard output of a program.
 fn output(command: &mut Command) -> Result<String> {
     let name = command.get_program().display().to_string();
     let output = command.output().with_context(|| format!("cannot run {name}"))?;

@@ -39,7 +39,6 @@ pub fn compare(pinocchio: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns a call of this repository's benchmark.
 fn benchmark() -> Command {
     let mut command = cargo();
     command.current_dir(root());

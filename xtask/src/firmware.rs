@@ -15,12 +15,11 @@ use crate::tools::{self, Tool};
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
 /// Name of a toy board, whose image only a test on the emulated chip uses.
-pub const TOY: &str = "toy-board";
+pub const TOY_BOARD: &str = "toy-board";
 
 const BINARY: &str = "haptic-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
-/// Adds the arguments of a board's image to a cargo call.
 fn for_board(mut command: Command, board: &str) -> Command {
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--package", BINARY, "--profile", "firmware", "--features", board]);
@@ -71,10 +70,9 @@ pub fn size() -> Result<()> {
     Ok(())
 }
 
-/// Lints the code for the chip: the library, the firmware and the image that counts instructions.
 pub fn clippy() -> Result<()> {
     tools::check(&[Tool::Chip])?;
-    for board in BOARDS.into_iter().chain([TOY]) {
+    for board in BOARDS.into_iter().chain([TOY_BOARD]) {
         let packages = ["--package", "haptic-bridge", "--package", "haptic-counting"];
         run(for_board(cargo_for("clippy", TARGET), board).args(packages).args(["--", "-D", "warnings"]))?;
     }
@@ -88,7 +86,6 @@ pub fn flash(board: &str) -> Result<()> {
         .context("flashing needs probe-rs; `cargo install probe-rs-tools --locked` installs it, see docs/flashing.md")
 }
 
-/// Builds and writes an update file for the chip's USB boot loader.
 pub fn dfu(board: &str) -> Result<()> {
     let elf = build(board)?;
     let image = Image::read(&elf)?;

@@ -7,7 +7,6 @@ use anyhow::{Context as _, Result, ensure};
 use crate::paths::root;
 use crate::toolchain::run;
 
-/// Checks the format of every Rust file that git lists.
 pub fn check() -> Result<()> {
     let listed = Command::new("git").current_dir(root()).args(["ls-files", "-z", "*.rs"]).output();
     let listed = String::from_utf8(listed.context("cannot run git")?.stdout).context("a file's name is not UTF-8")?;

@@ -114,7 +114,6 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Builds the program with the targets and returns its path.
 fn build(out: &Path) -> Result<PathBuf> {
     let host = host()?;
     let mut build = cargo();

@@ -17,13 +17,9 @@ const TOOL_CRATES: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "crossterm", "ctrlc", "dejavu", "indicatif", "resvg", "tungstenite"];
 /// Dependencies of recordings, drawings and the page.
 const SHOW_CRATES: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
-/// The crate that computes the stable walls.
 const STABILITY_CRATES: &[&str] = &["haptic-stability"];
-/// Crate that measures, tunes and designs.
 const PREDICT_CRATES: &[&str] = &["haptic-predict"];
-/// Crate of simulated boards.
 const SIM_CRATES: &[&str] = &["haptic-sim"];
-/// Crates for flashing boards.
 const FLASH_CRATES: &[&str] = &["haptic-flash", "nusb"];
 
 /// Packages, and the dependencies that each must not have.

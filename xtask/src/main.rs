@@ -5,6 +5,7 @@ mod bench;
 mod checksum;
 mod dfu;
 mod dist;
+mod document_tables;
 mod dynamics;
 mod firmware;
 mod format;
@@ -18,7 +19,6 @@ mod playground;
 mod publish;
 mod python;
 mod report;
-mod shown;
 mod soak;
 mod tests;
 mod thumb;
@@ -34,7 +34,7 @@ use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Parser, Subcommand};
 
-use crate::firmware::{BOARDS, TOY};
+use crate::firmware::{BOARDS, TOY_BOARD};
 
 /// Development tasks that need more than one cargo call.
 #[derive(Parser)]
@@ -137,7 +137,6 @@ enum Command {
     },
 }
 
-/// Returns the parts of the deep tests with their descriptions.
 fn deep_part() -> PossibleValuesParser {
     PossibleValuesParser::new(tests::PARTS.iter().map(|part| PossibleValue::new(part.name).help(part.description)))
 }
@@ -145,7 +144,7 @@ fn deep_part() -> PossibleValuesParser {
 /// Returns the shipped boards, and the toy board of a test, which the help hides.
 fn any_image() -> PossibleValuesParser {
     let shipped = BOARDS.into_iter().map(PossibleValue::new);
-    PossibleValuesParser::new(shipped.chain([PossibleValue::new(TOY).hide(true)]))
+    PossibleValuesParser::new(shipped.chain([PossibleValue::new(TOY_BOARD).hide(true)]))
 }
 
 fn main() -> ExitCode {

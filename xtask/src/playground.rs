@@ -46,7 +46,6 @@ fn page() -> Result<String> {
     Ok(page)
 }
 
-/// Adds scripts, worker and library to the page.
 fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<String> {
     let inside = format!(
         "<script type=\"text/plain\" id=\"worker\">{worker}</script>\n<script type=\"text/plain\" id=\"library\">{}</script>\n\

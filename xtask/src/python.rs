@@ -28,12 +28,12 @@ struct Build {
 struct Project {
     dependencies: Vec<String>,
     #[serde(rename = "optional-dependencies")]
-    optional: Optional,
+    optional: OptionalRequirements,
 }
 
 /// Requirements of the tests, and packages for comparisons.
 #[derive(Deserialize)]
-struct Optional {
+struct OptionalRequirements {
     test: Vec<String>,
     peers: Vec<String>,
 }

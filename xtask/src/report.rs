@@ -9,7 +9,6 @@ use crate::paths::root;
 use crate::shown;
 use crate::toolchain::{cargo, run};
 
-/// Writes `docs/results/NAME` and prints its path.
 pub fn write(name: &str, text: &str) -> Result<()> {
     let path = root().join("docs/results").join(name);
     fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
@@ -17,7 +16,6 @@ pub fn write(name: &str, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Draws the figures of docs/results.md with the program in xtask/figures.
 pub fn figures(cases: &[String]) -> Result<()> {
     let program = ["run", "--quiet", "--locked", "--release", "--package", "figures", "--"];
     run(cargo().current_dir(root()).args(program).args(cases))?;
@@ -39,7 +37,7 @@ pub fn record(name: &str, command: &str) -> Result<()> {
     lines.sort_unstable();
     lines.insert(0, head);
     write("made.csv", &(lines.join("\n") + "\n"))?;
-    shown::refresh()
+    document_tables::refresh()
 }
 
 /// Returns the date and the commit, as in "2026-01-31, commit 0123abc".

@@ -21,9 +21,7 @@ const FUZZ_SECONDS: u32 = 20;
 
 /// A named part of the deep tests.
 pub struct Part {
-    /// Name on the command line.
     pub name: &'static str,
-    /// Description for the help text.
     pub description: &'static str,
     /// Runs the part with further arguments for its program.
     run: fn(&[String]) -> Result<()>,
@@ -108,7 +106,6 @@ pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Runs a stage and prints its duration.
 fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     println!("== {name}");
     let began = Instant::now();
@@ -117,7 +114,6 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     outcome
 }
 
-/// Runs a module of tool/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
@@ -165,7 +161,7 @@ fn fuzzing(_: &[String]) -> Result<()> {
 /// Runs all tests of the release images and of an image with a toy board. Further arguments go to `cargo test`.
 fn emulated_suite(arguments: &[String]) -> Result<()> {
     firmware::build_all()?;
-    firmware::build(firmware::TOY)?;
+    firmware::build(firmware::TOY_BOARD)?;
     run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES_VARIABLE, firmware::directory()))
 }
 

@@ -60,7 +60,7 @@ impl Image {
 
     /// Follows the calls from the functions `roots`. Returns the number of functions, their indirect jumps, and the
     /// deepest stack of each root. Fails on recursion, and on a call to an address without a function.
-    pub fn reach(&self, roots: &[&str]) -> Result<Reach> {
+    pub fn reach(&self, roots: &[&str]) -> Result<ReachedFunctions> {
         let mut depths = BTreeMap::new();
         let mut stack = Vec::new();
         for root in roots {
@@ -73,7 +73,7 @@ impl Image {
             .filter_map(|address| self.0.get(address))
             .flat_map(|function| function.indirect.iter().map(|at| format!("{} at {at:#x}", function.name)))
             .collect();
-        Ok(Reach { functions: depths.len(), indirect, stack })
+        Ok(ReachedFunctions { functions: depths.len(), indirect, stack })
     }
 
     fn depth(&self, address: u32, path: &mut Vec<u32>, depths: &mut BTreeMap<u32, u32>) -> Result<u32> {
@@ -97,7 +97,7 @@ impl Image {
 }
 
 /// Result of [`Image::reach`].
-pub struct Reach {
+pub struct ReachedFunctions {
     pub functions: usize,
     /// Function and address of each jump through a register or a pointer.
     pub indirect: Vec<String>,

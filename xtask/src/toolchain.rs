@@ -10,9 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use crate::paths::{root, target_directory};
 use crate::wrapper;
 
-/// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
-/// The target triple of browsers.
 pub const BROWSERS: &str = "wasm32-unknown-unknown";
 
 /// Returns a cargo call that compiles for the chip.
@@ -22,7 +20,6 @@ pub fn chip_cargo() -> Command {
     command
 }
 
-/// Returns a cargo call for a target.
 pub fn cargo_for(subcommand: &str, target: &str) -> Command {
     let mut command = cargo();
     command.args([subcommand, "--target", target]);
@@ -82,7 +79,6 @@ fn join(command: &Command) -> String {
     command.get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
 
-/// Returns the target triple of this computer.
 pub fn host() -> Result<String> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).arg("-vV").output().context("cannot run rustc")?;

@@ -20,7 +20,7 @@ pub fn sanitize(arguments: &[String]) -> Result<()> {
 
 /// Prefixes of the names of the library's tests that run under Miri, a thousand times slower than without Miri. Tests
 /// in double precision are excluded, because they use assembly on a PC, which Miri cannot run.
-const UNDER_MIRI: [&str; 18] = [
+const MIRI_TESTS: [&str; 18] = [
     "settings::another_key",
     "settings::another_version",
     "settings::entries_are",
@@ -55,7 +55,7 @@ pub fn miri() -> Result<()> {
     }
     let mut test = miri();
     test.args(["test", "--locked", "--package", "haptic-bridge", "--test", "library", "--target-dir"]);
-    test.arg(paths::target_directory().join("miri")).arg("--").args(UNDER_MIRI);
+    test.arg(paths::target_directory().join("miri")).arg("--").args(MIRI_TESTS);
     // Tests may read files and the clock, floats round as on a processor, and each property has few cases.
     test.env("MIRIFLAGS", "-Zmiri-disable-isolation -Zmiri-deterministic-floats").env("PROPTEST_CASES", "4");
     run(&mut test)
@@ -67,7 +67,7 @@ mod tests {
 
     #[test]
     fn the_tests_for_miri_exist() {
-        for name in UNDER_MIRI {
+        for name in MIRI_TESTS {
             let (file, test) = name.split_once("::").unwrap();
             let path = paths::root().join(format!("tests/{file}.rs"));
             let text = std::fs::read_to_string(&path).unwrap();

@@ -213,7 +213,7 @@ const CALLS: [(&str, &str); 6] = [
 const BUFFER_SIZE: usize = 1024;
 
 thread_local! {
-    /// Buffer for `hb_error`. It never moves, so that a pointer to it always shows the latest message.
+    /// Buffer for `hb_error`, which never moves, so that a pointer to it always shows the latest message.
     static ERROR: UnsafeCell<[u8; BUFFER_SIZE]> = const { UnsafeCell::new([0; BUFFER_SIZE]) };
 }
 
@@ -259,7 +259,7 @@ unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, F
 ///
 /// # Safety
 /// `board` is NULL or came from [`hb_open`] and has not been closed.
-unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<(), Failure>) -> i32 {
+unsafe fn with_session(board: *const Board, work: impl FnOnce(&mut Session) -> Result<(), Failure>) -> i32 {
     let done = catch_failure(|| {
         // SAFETY: as the caller promises.
         let board = unsafe { board.as_ref() }.ok_or_else(|| Failure::argument("the board", "NULL"))?;
@@ -335,7 +335,7 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
 pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
     unsafe {
-        with(board, |session| {
+        with_session(board, |session| {
             let device = DeviceFile::load(text(device_file, "the device file")?)?;
             let scene = scene(scene_file, device.spec().task)?;
             session.set_device(&device.device()?)?;
@@ -349,7 +349,7 @@ pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char
 pub unsafe extern "C" fn hb_set_scene(board: *const Board, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
     unsafe {
-        with(board, |session| {
+        with_session(board, |session| {
             let device = session.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
             Ok(session.set_scene(&scene(scene_file, device.mechanism.kind().spec().task)?)?)
         })
@@ -372,7 +372,7 @@ unsafe fn scene(file: *const c_char, task: usize) -> Result<Scene<f32>, Failure>
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
-    unsafe { with(board, |session| Ok(session.home()?)) }
+    unsafe { with_session(board, |session| Ok(session.home()?)) }
 }
 
 /// Checks that every motor turns its joint in the direction in which the encoder counts. Moves each joint a little and
@@ -384,7 +384,7 @@ pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
         Ok(session.wait_for_polarity()?.passed()?)
     };
     // SAFETY: as the caller promises.
-    unsafe { with(board, check) }
+    unsafe { with_session(board, check) }
 }
 
 /// Turns the motors on; the torque ramps up over 0.5 s. hb_exchange(), also with NULL, must then be called as often as
@@ -392,21 +392,21 @@ pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_arm(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
-    unsafe { with(board, |session| Ok(session.arm()?)) }
+    unsafe { with_session(board, |session| Ok(session.arm()?)) }
 }
 
 /// Turns the motors off.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_disarm(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
-    unsafe { with(board, |session| Ok(session.disarm()?)) }
+    unsafe { with_session(board, |session| Ok(session.disarm()?)) }
 }
 
 /// Clears a latched fault.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
-    unsafe { with(board, |session| Ok(session.clear()?)) }
+    unsafe { with_session(board, |session| Ok(session.clear()?)) }
 }
 
 /// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 s and retries for 1 s in
@@ -415,7 +415,7 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
 pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
     // SAFETY: as the caller promises.
     unsafe {
-        with(board, |session| {
+        with_session(board, |session| {
             let patience = Duration::try_from_secs_f64(seconds)
                 .map_err(|_| Failure::argument("the time", "not a number of seconds, 0 or more"))?;
             session.wait_for_forces(patience);
@@ -431,7 +431,7 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {
     // SAFETY: as the caller promises.
     unsafe {
-        with(board, |session| {
+        with_session(board, |session| {
             let state = state.as_mut().ok_or_else(|| Failure::argument("the state", "NULL"))?;
             let request = request.as_ref().map(ForceRequest::from).unwrap_or_default();
             let reply = session.exchange(request)?;

@@ -20,7 +20,7 @@ use std::ptr::null;
 use std::sync::atomic::AtomicBool;
 
 /// Returns the folder of this test, which also has the shared library.
-fn libraries() -> std::path::PathBuf {
+fn library_folder() -> std::path::PathBuf {
     std::env::current_exe().unwrap().parent().unwrap().to_path_buf()
 }
 
@@ -28,7 +28,7 @@ fn libraries() -> std::path::PathBuf {
 #[cfg(target_os = "linux")]
 fn the_example_compiles_without_warnings_and_pushes_a_board() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folder = libraries();
+    let folder = library_folder();
     let program = folder.join("capi-push");
     let compiled = Command::new("gcc")
         .args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror", "-I"])

@@ -48,15 +48,15 @@ pub struct HdDevice {
     /// Number of ticks since the board was lost.
     lost_ticks: u32,
     /// True for a simulated board, whose time advances only while a caller waits.
-    simulated: bool,
+    is_simulated: bool,
     /// True if the present state of the motors has been reported.
     is_reported: bool,
     /// True if an invalid force has been reported.
     is_invalid_force_reported: bool,
     /// True if the motors are on according to the latest reply.
-    armed: bool,
+    is_armed: bool,
     /// True if a fault occurred while the motors were on, which opening the device again clears.
-    tripped: bool,
+    is_tripped: bool,
 }
 
 /// Reads the board's device and state, and loads free space if the board has no scene.
@@ -76,14 +76,14 @@ impl HdDevice {
     pub fn open() -> Result<Self, String> {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());
         let spec = port.parse::<PortSpec>()?;
-        let simulated = matches!(spec, PortSpec::Sim(_));
-        Self::with(
+        let is_simulated = matches!(spec, PortSpec::Sim(_));
+        Self::with_opener(
             Box::new(move || haptic_sim::open(&spec).map(Session::of).map_err(|error| error.to_string())),
-            simulated,
+            is_simulated,
         )
     }
 
-    fn with(mut open: OpenBoard, simulated: bool) -> Result<Self, String> {
+    fn with_opener(mut open: OpenBoard, is_simulated: bool) -> Result<Self, String> {
         let mut session = open()?;
         let (device_data, last) = read_device(&mut session)?;
         let device = device_data.cast::<f64>();
@@ -107,11 +107,11 @@ impl HdDevice {
             last,
             tick: Instant::now(),
             lost_ticks: 0,
-            simulated,
+            is_simulated,
             is_reported: false,
             is_invalid_force_reported: false,
-            armed: false,
-            tripped: false,
+            is_armed: false,
+            is_tripped: false,
         })
     }
 
@@ -121,10 +121,10 @@ impl HdDevice {
             self.reopen();
         }
         let Some(session) = &mut self.session else { return false };
-        let cleared = if self.tripped { session.clear() } else { Ok(()) };
+        let cleared = if self.is_tripped { session.clear() } else { Ok(()) };
         match cleared.and_then(|()| session.arm()) {
             Ok(()) => {
-                (self.tick, self.is_reported, self.armed, self.tripped) = (Instant::now(), false, true, false);
+                (self.tick, self.is_reported, self.is_armed, self.is_tripped) = (Instant::now(), false, true, false);
                 true
             }
             // The motors may be on or off.
@@ -139,7 +139,7 @@ impl HdDevice {
     /// Turns the motors off.
     pub fn disarm(&mut self) -> bool {
         let off = self.session.as_mut().is_some_and(|session| session.disarm().is_ok());
-        self.armed &= !off;
+        self.is_armed &= !off;
         off
     }
 
@@ -178,14 +178,14 @@ impl HdDevice {
             Err(error) => return self.handle_link_error(&error),
         };
         if sent.state == State::Fault {
-            self.tripped |= std::mem::take(&mut self.armed);
-            let how = if self.tripped { "; closing and opening the device clears it" } else { "" };
+            self.is_tripped |= std::mem::take(&mut self.is_armed);
+            let how = if self.is_tripped { "; closing and opening the device clears it" } else { "" };
             let why = session.fault().map_or_else(String::new, |record| {
                 format!(": {}{how}", commands_to_calls(&fault_and_remedy(&record), &CALLS))
             });
             self.report(format!("the board has turned its motors off{why}"));
         }
-        if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
+        if let Some(session) = self.session.as_mut().filter(|_| self.is_simulated)
             && let Err(error) = session.rows(TICK)
         {
             return self.handle_link_error(&error);
@@ -226,7 +226,7 @@ impl HdDevice {
                 // Lets the program clear HostLost, which the lost connection caused. The user must check any other
                 // fault.
                 if let Some(record) = session.status().ok().and_then(|status| status.fault) {
-                    self.tripped = std::mem::take(&mut self.armed) && record.fault == Fault::HostLost;
+                    self.is_tripped = std::mem::take(&mut self.is_armed) && record.fault == Fault::HostLost;
                 }
                 (self.session, self.last, self.is_reported) = (Some(session), last, false);
                 self.report("the board is back; closing and opening the device turns its motors on".into());
@@ -313,7 +313,7 @@ mod tests {
             let wire = Cable(shared.wire(), Arc::clone(&cable));
             Board::over(Box::new(wire), "sim").map(Session::of).map_err(|error| error.to_string())
         };
-        let mut device = HdDevice::with(Box::new(open), false).unwrap();
+        let mut device = HdDevice::with_opener(Box::new(open), false).unwrap();
         let session = device.session.as_mut().unwrap();
         session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
         session.home().unwrap();

@@ -26,7 +26,7 @@ const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
 /// Runs `work` with the board, which is opened first if necessary. A panic of `work` drops the board, which disarms it.
-fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
+fn with_device(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;
     }
@@ -96,19 +96,19 @@ unsafe fn read_numbers(from: [*const f64; 3]) -> Option<[f64; 3]> {
 /// Returns the number of devices: 1 if the board can be opened, otherwise 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomGetNumDevices() -> c_int {
-    c_int::from(with(0, |_| true) == DONE)
+    c_int::from(with_device(0, |_| true) == DONE)
 }
 
 /// Opens the device and turns its motors on. If the board refuses, positions work but forces do not.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomOpen(id: c_int) -> c_int {
-    with(id, HdDevice::arm)
+    with_device(id, HdDevice::arm)
 }
 
 /// Turns the motors off.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
-    with(id, HdDevice::disarm)
+    with_device(id, HdDevice::disarm)
 }
 
 /// Reads the position of the tip, m. Fails while the board is lost.
@@ -118,7 +118,7 @@ pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetPosition(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| device.position().is_some_and(|position| unsafe { write_numbers([x, y, z], position) }))
+    with_device(id, |device| device.position().is_some_and(|position| unsafe { write_numbers([x, y, z], position) }))
 }
 
 /// Reads the velocity of the tip, m/s. Fails while the board is lost.
@@ -128,7 +128,7 @@ pub unsafe extern "C" fn hdPhantomGetPosition(id: c_int, x: *mut f64, y: *mut f6
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetLinearVelocity(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| device.velocity().is_some_and(|velocity| unsafe { write_numbers([x, y, z], velocity) }))
+    with_device(id, |device| device.velocity().is_some_and(|velocity| unsafe { write_numbers([x, y, z], velocity) }))
 }
 
 /// Reads the rotation matrix of the handle, which is always the identity because no device measures orientation.
@@ -150,7 +150,7 @@ pub unsafe extern "C" fn hdPhantomGetRotation(
     r22: *mut f64,
 ) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |_| unsafe {
+    with_device(id, |_| unsafe {
         write_numbers([r00, r01, r02], [1.0, 0.0, 0.0])
             && write_numbers([r10, r11, r12], [0.0, 1.0, 0.0])
             && write_numbers([r20, r21, r22], [0.0, 0.0, 1.0])
@@ -170,7 +170,7 @@ pub extern "C" fn hdPhantomGetButtons(_id: c_int) -> c_int {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomSetForce(id: c_int, x: *const f64, y: *const f64, z: *const f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { read_numbers([x, y, z]) }.is_some_and(|force| device.force(force)))
+    with_device(id, |device| unsafe { read_numbers([x, y, z]) }.is_some_and(|force| device.force(force)))
 }
 
 /// Does nothing, because no device makes torques at the handle.
@@ -179,7 +179,7 @@ pub unsafe extern "C" fn hdPhantomSetForce(id: c_int, x: *const f64, y: *const f
 /// No requirements.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomSetTorque(id: c_int, _x: *const f64, _y: *const f64, _z: *const f64) -> c_int {
-    with(id, |_| true)
+    with_device(id, |_| true)
 }
 
 /// Like [`hdPhantomSetForce`]; ignores the torques.
@@ -207,7 +207,7 @@ pub unsafe extern "C" fn hdPhantomSetForceAndTorque(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetWorkspaceRadius(id: c_int, radius: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { write_numbers([radius; 3], [device.radius; 3]) })
+    with_device(id, |device| unsafe { write_numbers([radius; 3], [device.radius; 3]) })
 }
 
 /// Reads the name of the device, at most 254 bytes and a zero, because CHAI3D's buffer has 255 bytes.
@@ -216,7 +216,7 @@ pub unsafe extern "C" fn hdPhantomGetWorkspaceRadius(id: c_int, radius: *mut f64
 /// `name` is NULL or valid for writing 255 bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetType(id: c_int, name: *mut c_char) -> c_int {
-    with(id, |device| {
+    with_device(id, |device| {
         if name.is_null() {
             return false;
         }

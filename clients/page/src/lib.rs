@@ -131,7 +131,7 @@ fn set_buffer(bytes: impl Into<Vec<u8>>) {
 }
 
 /// Applies `apply` to the content of a cell. Returns `None` if the cell is empty.
-fn with<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, apply: impl FnOnce(&mut T) -> R) -> Option<R> {
+fn with_cell<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, apply: impl FnOnce(&mut T) -> R) -> Option<R> {
     cell.with_borrow_mut(|content| content.as_mut().map(apply))
 }
 
@@ -200,7 +200,7 @@ pub extern "C" fn finish(lost: bool) {
 #[unsafe(no_mangle)]
 pub extern "C" fn said(milliseconds: f64) {
     let text = String::from_utf8(BUFFER.take()).map_err(|_| "not a message of this page: it is not text".to_string());
-    with(&PAGE, |page| page.receive(duration(milliseconds), text.and_then(|text| FromPage::parse(&text))));
+    with_cell(&PAGE, |page| page.receive(duration(milliseconds), text.and_then(|text| FromPage::parse(&text))));
 }
 
 /// Converts milliseconds to a duration, and a time that is not finite to zero.
@@ -212,7 +212,7 @@ fn duration(milliseconds: f64) -> Duration {
 /// to date, and 2 if the board is lost, with the reason in the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
-    match with(&STAGE, |stage| stage.turn(duration(milliseconds))) {
+    match with_cell(&STAGE, |stage| stage.turn(duration(milliseconds))) {
         Some(Ok(Turn::Played)) => 1,
         Some(Ok(Turn::Ahead)) | None => 0,
         Some(Err(error)) => {
@@ -225,7 +225,7 @@ pub extern "C" fn turn(milliseconds: f64) -> u32 {
 /// Puts the next message for the page into the buffer. Returns 1 for text, 2 for numbers, and 0 if there is no message.
 #[unsafe(no_mangle)]
 pub extern "C" fn next() -> u32 {
-    let message = with(&PAGE, |page| {
+    let message = with_cell(&PAGE, |page| {
         if page.waiting.is_empty() {
             page.waiting.extend(page.hub.take_outbox(page.id).messages());
         }

@@ -29,7 +29,7 @@ pub fn rows(what: &str, input: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows
 }
 
 impl Rows {
-    /// Returns one row for each of `poses`, to all of which a single row applies.
+    /// Returns one row for each of `poses`. A single row applies to all poses.
     pub fn broadcast_to(self, what: &str, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         match self.rows.len() {
             1 if self.shape.is_empty() => Ok(vec![self.rows[0].clone(); poses.rows.len()]),

@@ -109,7 +109,7 @@ impl State {
 }
 
 fn fault_text(fault: &FaultRecord) -> String {
-    errors::in_calls(&fault_and_remedy(fault))
+    errors::with_python_calls(&fault_and_remedy(fault))
 }
 
 /// The present stream.
@@ -265,7 +265,7 @@ impl Board {
             open.session.check_polarity()?;
             open.session.wait_for_polarity()
         })?;
-        outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
+        outcome.passed().map_err(|failure| errors::refused_error(&failure.to_string()))
     }
 
     /// Turns the motors on; the torque ramps up over 0.5 s. Then call look, force or torque as often as the board's

@@ -44,11 +44,11 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
         .enumerate()
         .map(|(index, result)| match result {
             Ok(value) => Ok(Some(value)),
-            Err(error) if keep && error.blame() == haptic_host::error::Blame::World => Ok(None),
+            Err(error) if keep && error.blame() == haptic_host::error::Blame::System => Ok(None),
             Err(error) if many => {
                 let text = format!("pose {index}: {error}");
                 Err(match error.blame() {
-                    haptic_host::error::Blame::World | haptic_host::error::Blame::Difference => {
+                    haptic_host::error::Blame::System | haptic_host::error::Blame::Difference => {
                         ImpossibleError::new_err(text)
                     }
                     haptic_host::error::Blame::Request => RequestError::new_err(text),
@@ -61,17 +61,17 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
 
 /// Maximum number of poses whose model is computed in the caller's thread, because the model of a pose takes
 /// microseconds, less than the start of a thread.
-const MAX_IN_CALLER: usize = 64;
+const MAX_POSES_IN_CALLER: usize = 64;
 
-/// Computes the results of `count` poses with the interpreter's lock released. Up to `alone` poses are computed in this
-/// thread, more poses on all cores, where Ctrl-C ends the computation.
+/// Computes the results of `count` poses with the interpreter's lock released. Up to `max_in_caller` poses are computed
+/// in this thread, more poses on all cores, where Ctrl-C ends the computation.
 fn compute_poses<T: Send>(
     py: Python<'_>,
     count: usize,
-    alone: usize,
+    max_in_caller: usize,
     compute: impl Fn(usize) -> Result<T, Failure> + Sync,
 ) -> PyResult<Vec<Result<T, Failure>>> {
-    if count <= alone {
+    if count <= max_in_caller {
         return Ok(py.detach(|| (0..count).map(&compute).collect()));
     }
     let all: Vec<usize> = (0..count).collect();
@@ -239,7 +239,7 @@ impl PyDevice {
             }
             Ok(evaluate_holding(&self.file, &poses.rows[pose], &speeds[pose], &walls, precision, admissible)?)
         };
-        let found = unwrap_poses(compute_poses(py, poses.rows.len(), MAX_IN_CALLER, compute)?, keep)?;
+        let found = unwrap_poses(compute_poses(py, poses.rows.len(), MAX_POSES_IN_CALLER, compute)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("position", &[d], |report| report.position.clone())?;
         columns.add("jacobian", &[d, n], |report| report.jacobian.concat())?;
@@ -327,7 +327,7 @@ impl PyDevice {
         let around = Loop {
             rate_hz,
             delay_samples: delay,
-            estimator: if difference_over == 1 { estimator } else { estimator.over(difference_over) },
+            estimator: if difference_over == 1 { estimator } else { estimator.with_window(difference_over) },
             drive,
             damping_compensation,
         };

@@ -44,7 +44,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
     let failure = failure.into();
     match failure.blame() {
         Blame::Request => RequestError::new_err(failure.to_string()),
-        Blame::World | Blame::Difference => ImpossibleError::new_err(failure.to_string()),
+        Blame::System | Blame::Difference => ImpossibleError::new_err(failure.to_string()),
     }
 }
 
@@ -57,12 +57,12 @@ pub fn board(error: BoardError) -> PyErr {
 }
 
 /// Creates a RefusedError with this message.
-pub fn refused(message: &str) -> PyErr {
-    RefusedError::new_err(in_calls(message))
+pub fn refused_error(message: &str) -> PyErr {
+    RefusedError::new_err(with_python_calls(message))
 }
 
 /// Replaces the tool's commands in a message by calls.
-pub fn in_calls(message: &str) -> String {
+pub fn with_python_calls(message: &str) -> String {
     commands_to_calls(message, &CALLS)
 }
 

@@ -13,7 +13,7 @@ use haptic_predict::measure::board_measurement::{self, BoardMeasurement};
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::progress::{Point, Progress};
 use haptic_predict::measure::simulated::{Friction, World};
-use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, most_tested};
+use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, max_tested_walls};
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::sampled::Loop;
 use haptic_stability::analysis::several::{Member, WallSet};
@@ -188,7 +188,7 @@ fn walls(
 ) -> PyResult<Vec<Member>> {
     let task = device.file.spec().task;
     let normals = rows("normal", normal, task)?;
-    let (count, most) = (normals.rows.len(), most_tested(task));
+    let (count, most) = (normals.rows.len(), max_tested_walls(task));
     let wrong = |reason: String| Err(RequestError::new_err(reason));
     if normals.shape.len() > 1 || count == 0 || count > most {
         return wrong(format!(
@@ -344,7 +344,7 @@ fn as_arrays<'py>(
         if !request.plan.modes.contains(&mode) {
             continue;
         }
-        let points = progress.all(mode);
+        let points = progress.points_of_mode(mode);
         let most = points.iter().map(|point| point.repeats.len()).max().unwrap_or(0);
         let into = PyDict::new(py);
         let column = |name: &str, pick: &dyn Fn(&Point) -> Option<f64>| {

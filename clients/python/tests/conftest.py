@@ -22,7 +22,7 @@ def five_bar():
 
 
 @pytest.fixture
-def vouched():
+def strict_five_bar():
     """The five-bar with verified motors and joint limits, which a strict board requires."""
     text = (DEVICES / "coupled-five-bar.toml").read_text()
     text = text.replace("[joint.motor]\n", "[joint.motor]\nverified = true\n")

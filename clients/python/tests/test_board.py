@@ -77,8 +77,8 @@ def test_a_polarity_check_has_ended_when_it_returns(five_bar):
         assert board.state == "Armed"
 
 
-def test_the_fault_of_a_strict_board_is_read_and_cleared(vouched):
-    simulation = hb.Simulation(vouched, strict=True)
+def test_the_fault_of_a_strict_board_is_read_and_cleared(strict_five_bar):
+    simulation = hb.Simulation(strict_five_bar, strict=True)
     with simulation.board() as board:
         board.home()
         board.check_polarity()

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.mujoco
 NAMES = ["hapkit-paddle", "serial-3r", "coupled-five-bar", "pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5"]
 
 
-def placed(path, q, **options):
+def place_model(path, q, **options):
     model = mujoco.MjModel.from_xml_string(hb.mjcf.from_device(path, **options))
     data = mujoco.MjData(model)
     for name, angle in hb.mjcf.joint_angles(path, q).items():
@@ -20,7 +20,7 @@ def placed(path, q, **options):
     return model, data
 
 
-def reduced(model, data, joints):
+def reduce_to_joints(model, data, joints):
     """Returns (G, M): the motion of all hinges per motion of the actuated hinges, linkage closed, and the inertia."""
     driven = [model.joint(f"q{joint}").dofadr[0] for joint in range(joints)]
     rest = [dof for dof in range(model.nv) if dof not in driven]
@@ -29,7 +29,7 @@ def reduced(model, data, joints):
     if rest:
         # The two sites of a constraint move together.
         first, second = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        names = ("tip", "end") if has(model, "distal1") else ("rear", "end")
+        names = ("tip", "end") if has_joint(model, "distal1") else ("rear", "end")
         mujoco.mj_jacSite(model, data, first, None, model.site(names[0]).id)
         mujoco.mj_jacSite(model, data, second, None, model.site(names[1]).id)
         apart = first - second
@@ -42,7 +42,7 @@ def reduced(model, data, joints):
     return g, g.T @ moved
 
 
-def has(model, joint):
+def has_joint(model, joint):
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) != -1
 
 
@@ -54,9 +54,9 @@ def test_both_models_have_the_same_tip_inertia_and_forces(devices, name):
     rng = np.random.default_rng(3)
     for _ in range(5):
         q = np.asarray(device.home) + rng.uniform(-0.15, 0.15, n)
-        model, data = placed(path, q)
+        model, data = place_model(path, q)
         ours = device.model(q)
-        g, mass = reduced(model, data, n)
+        g, mass = reduce_to_joints(model, data, n)
         np.testing.assert_allclose(mass, ours["mass"], rtol=2e-6, atol=1e-6 * np.abs(mass).max())
         if name != "hapkit-paddle":  # its task coordinate is arc length
             np.testing.assert_allclose(data.site("tip").xpos[:d], ours["position"], atol=1e-12)
@@ -74,7 +74,7 @@ def test_the_board_renders_a_wall_in_mujoco(devices, name):
     path = devices / f"{name}.toml"
     device = hb.Device(path)
     period, ramp, steps = 1e-4, 6000, 16000
-    model, data = placed(path, device.home, timestep=period / 2)
+    model, data = place_model(path, device.home, timestep=period / 2)
     model.dof_frictionloss[:] = 0.0
     normal, stiffness, force = np.array([0.0, -1.0]), 2000.0, 1.0
     surface = data.site("tip").xpos[:2] - 1e-3 * normal

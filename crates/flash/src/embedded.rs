@@ -15,7 +15,7 @@ pub const WITHOUT_IMAGES: &str = "this tool was built without images: in a check
 
 /// An embedded image.
 #[derive(Clone, Copy, Debug)]
-pub struct Embedded {
+pub struct EmbeddedImage {
     /// Kind of board.
     pub board: &'static str,
     /// The update file.
@@ -26,21 +26,21 @@ pub struct Embedded {
 
 /// The description of an image.
 #[derive(Deserialize)]
-struct About {
+struct ImageDescription {
     version: String,
     protocol: u16,
     sha256: String,
 }
 
 /// Returns the embedded images; empty if the program was built without images.
-pub fn embedded() -> &'static [Embedded] {
+pub fn embedded_images() -> &'static [EmbeddedImage] {
     IMAGES
 }
 
-impl Embedded {
+impl EmbeddedImage {
     /// Checks the checksum and returns the image. Returns an error only in a broken build.
     pub fn image(&self) -> Result<Image, String> {
-        let about: About = toml::from_str(self.about).map_err(|error| error.to_string())?;
+        let about: ImageDescription = toml::from_str(self.about).map_err(|error| error.to_string())?;
         if sha256(self.file) != about.sha256 {
             return Err("the embedded image does not match its SHA-256".into());
         }

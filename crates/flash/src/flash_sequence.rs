@@ -20,7 +20,7 @@ pub struct Block {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlashSequence {
     /// Sectors to erase, in this order.
-    pub erase: Vec<Sector>,
+    pub sectors: Vec<Sector>,
     /// Blocks to write and compare first, ascending.
     pub code: Vec<Block>,
     /// Blocks of the vectors' sector to write and compare last, descending, so that the vectors come last.
@@ -33,7 +33,7 @@ pub enum Misfit {
     /// The chip has no flash at this address.
     #[error("the image needs flash at {0:#010x}, and this chip has none there: it is not the chip of this board")]
     NoFlash(u32),
-    /// The sectors differ from an STM32F405's sectors, so that erasing them could erase settings.
+    /// The sectors differ from an STM32F405's sectors, so that an erase could remove settings.
     #[error("the sectors of this chip are not those of an STM32F405: it is not the chip of this board")]
     OtherChip,
 }
@@ -47,7 +47,7 @@ pub fn flash_sequence(image: &Image, layout: &Layout, transfer: usize) -> Result
     if !layout.sectors.iter().map(|sector| sector.start).take(FIRST_SECTORS.len()).eq(FIRST_SECTORS) {
         return Err(Misfit::OtherChip);
     }
-    let mut erase: Vec<Sector> = Vec::new();
+    let mut sectors: Vec<Sector> = Vec::new();
     let mut write = Vec::new();
     for segment in &image.segments {
         let range = segment.range();
@@ -59,8 +59,8 @@ pub fn flash_sequence(image: &Image, layout: &Layout, transfer: usize) -> Result
             if sector.start < SETTINGS.end && SETTINGS.start < sector.end() {
                 return Err(Misfit::OtherChip);
             }
-            if !erase.contains(&sector) {
-                erase.push(sector);
+            if !sectors.contains(&sector) {
+                sectors.push(sector);
             }
             at = sector.end();
         }
@@ -70,11 +70,11 @@ pub fn flash_sequence(image: &Image, layout: &Layout, transfer: usize) -> Result
             write.push(Block { address: segment.address + (index * transfer) as u32, bytes });
         }
     }
-    let vectors = erase.iter().find(|sector| (sector.start..sector.end()).contains(&FLASH_START)).copied();
+    let vectors = sectors.iter().find(|sector| (sector.start..sector.end()).contains(&FLASH_START)).copied();
     let in_vector_sector = |address: u32| vectors.is_some_and(|sector| (sector.start..sector.end()).contains(&address));
-    erase.sort_by_key(|sector| (!in_vector_sector(sector.start), sector.start));
+    sectors.sort_by_key(|sector| (!in_vector_sector(sector.start), sector.start));
     let (mut vectors, code): (Vec<Block>, Vec<Block>) =
         write.into_iter().partition(|block| in_vector_sector(block.address));
     vectors.reverse();
-    Ok(FlashSequence { erase, code, vectors })
+    Ok(FlashSequence { sectors, code, vectors })
 }

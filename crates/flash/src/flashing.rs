@@ -201,7 +201,7 @@ impl FlashError {
             Cause::NotThere(_) => {
                 "`haptic list` shows the running boards; a boot loader has the serial number of its board".into()
             }
-            Cause::OtherBoard { board, .. } => format!("flash the image for it: haptic flash {board}"),
+            Cause::OtherBoard { board, .. } => format!("flash the image for this board: haptic flash {board}"),
             Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => {
                 "check that the image is complete and made for this kind of board".into()
             }
@@ -249,7 +249,7 @@ impl FlashError {
 pub enum Progress {
     /// A phase begins.
     Begins(Phase),
-    /// Finished and total amount of a phase.
+    /// Finished and total number of sectors or bytes in a phase.
     Done(Phase, usize, usize),
     /// The board does not restart, so the user must switch its power off and on.
     PowerCycle,
@@ -314,7 +314,7 @@ pub fn flash<S: Surroundings>(
     tell: &mut dyn FnMut(Progress),
 ) -> Result<FlashSummary, FlashError> {
     let at = |phase, flash| move |cause: Cause| FlashError::new(phase, cause, flash);
-    let image = image.checked().map_err(|error| at(Phase::Identify, Flash::Untouched)(error.into()))?;
+    let image = image.check().map_err(|error| at(Phase::Identify, Flash::Untouched)(error.into()))?;
     let (loader, saved, before) = match target {
         FlashTarget::BootLoader(loader) => (loader.clone(), None, Flash::Untouched),
         FlashTarget::Running(identity) if identity.board != image.board => {
@@ -357,9 +357,9 @@ pub fn flash<S: Surroundings>(
     let settings = dfuse.read(SETTINGS.start, settings_size).map_err(|error| opening(error.into()))?;
 
     let (sectors, bytes) =
-        (sequence.erase.len(), sequence.code.iter().chain(&sequence.vectors).map(|it| it.bytes.len()).sum());
+        (sequence.sectors.len(), sequence.code.iter().chain(&sequence.vectors).map(|it| it.bytes.len()).sum());
     tell(Progress::Begins(Phase::Erase));
-    for (index, sector) in sequence.erase.iter().enumerate() {
+    for (index, sector) in sequence.sectors.iter().enumerate() {
         dfuse.erase(sector.start).map_err(|error| at(Phase::Erase, Flash::Erased)(error.into()))?;
         tell(Progress::Done(Phase::Erase, index + 1, sectors));
     }

@@ -54,7 +54,7 @@ pub enum BadImage {
 
 impl Image {
     /// Sorts the segments and checks that the image can be flashed.
-    pub fn checked(mut self) -> Result<Self, BadImage> {
+    pub fn check(mut self) -> Result<Self, BadImage> {
         self.segments.retain(|segment| !segment.bytes.is_empty());
         self.segments.sort_by_key(|segment| segment.address);
         let first = self.segments.first().ok_or(BadImage::Empty)?;

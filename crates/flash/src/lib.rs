@@ -23,7 +23,7 @@ mod update_file;
 pub mod usb;
 
 pub use dfuse::{DfuError, Transport, UsbError};
-pub use embedded::{Embedded, WITHOUT_IMAGES, embedded};
+pub use embedded::{EmbeddedImage, WITHOUT_IMAGES, embedded_images};
 pub use flash_sequence::{Block, FlashSequence, Misfit, flash_sequence};
 pub use flashing::{
     BootLoader, Cause, FlashError, FlashSummary, FlashTarget, Identity, OpenBootLoader, Phase, Progress, Surroundings,
@@ -32,5 +32,5 @@ pub use flashing::{
 pub use image::{BadImage, FLASH_START, Image, SETTINGS, Segment};
 pub use layout::{BadLayout, Layout, Sector};
 #[cfg(feature = "usb")]
-pub use site::{Bus, motors_and_unsaved, restore_lost_settings};
+pub use site::{Bus, motors_on_and_unsaved_settings, restore_lost_settings};
 pub use update_file::{BadFile, parse};

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use haptic_bridge::board::protocol::{EnterDfu, GetInfo};
 use haptic_bridge::board::settings::Key;
-use haptic_host::backup::{Backup, RestoreMethod, restore, unsaved};
+use haptic_host::backup::{Backup, RestoreMethod, restore, unsaved_settings};
 use haptic_host::link::{Board, BoardError, BoardPort, Client, LinkError, PortSpec, SerialWire, boards};
 use haptic_host::output;
 
@@ -24,17 +24,17 @@ pub struct Bus {
 
 impl Bus {
     /// Creates the access to this computer's USB.
-    pub fn here() -> Self {
+    pub fn of_this_computer() -> Self {
         Self { began: Instant::now() }
     }
 }
 
 /// Returns true if the motors of a running board are on, and the names of the settings that a restart would lose.
 /// Returns `None` if the board has another version of the protocol.
-pub fn motors_and_unsaved(serial: &str) -> Result<Option<(bool, Vec<&'static str>)>, BoardError> {
+pub fn motors_on_and_unsaved_settings(serial: &str) -> Result<Option<(bool, Vec<&'static str>)>, BoardError> {
     let Some(mut board) = open_same_protocol(serial)? else { return Ok(None) };
     let drives = board.status()?.state.drives();
-    Ok(Some((drives, unsaved(&mut board)?)))
+    Ok(Some((drives, unsaved_settings(&mut board)?)))
 }
 
 fn open_same_protocol(serial: &str) -> Result<Option<Board>, LinkError> {
@@ -129,8 +129,8 @@ pub fn restore_lost_settings(board: &mut Board, saved: &Backup) -> Result<Vec<St
         return Ok(Vec::new());
     }
     // Restores all settings, because a restored device resets the settings that depend on it.
-    let ready = saved.ready().map_err(to_text)?;
+    let ready = saved.prepared_settings().map_err(to_text)?;
     restore(board, &ready).map_err(to_text)?;
-    let back = ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored);
+    let back = ready.iter().filter(|setting| setting.method != RestoreMethod::NotRestored);
     Ok(back.map(|setting| setting.key.name().to_string()).collect())
 }

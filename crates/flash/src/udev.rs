@@ -5,8 +5,8 @@ pub const BOOT_LOADER: (u16, u16) = (0x0483, 0xDF11);
 /// USB vendor and product id of the boards, and the product name that distinguishes the boards from other devices with
 /// this test id.
 pub const BOARD: (u16, u16, &str) = (0x1209, 0x0001, "haptic-bridge");
-/// Path of the rule file. Its number must be lower than 73, the number of the system's rules that read the tag
-/// `uaccess`.
+/// Path of the rule file. The number in its name must be lower than 73, the number of the system's rules that read the
+/// tag `uaccess`.
 pub const RULE_PATH: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
 
 /// Returns the contents of the rule file.

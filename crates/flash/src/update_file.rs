@@ -10,13 +10,13 @@ use crate::image::{BadImage, Image, Segment};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum BadFile {
-    #[error("it is not a DfuSe update file (.dfu), such as `cargo xtask dfu BOARD` writes")]
+    #[error("the file is not a DfuSe update file (.dfu), such as `cargo xtask dfu BOARD` writes")]
     NotDfuse,
-    #[error("it is damaged: its checksum is wrong")]
+    #[error("the file is damaged: its checksum is wrong")]
     Damaged,
-    #[error("it is damaged: its lengths contradict its contents")]
+    #[error("the file is damaged: its lengths contradict its contents")]
     Lengths,
-    #[error("it is for {0} memories, not for one")]
+    #[error("the file is for {0} memories instead of one")]
     Targets(u8),
     #[error(transparent)]
     Image(#[from] BadImage),
@@ -64,7 +64,7 @@ pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
         return Err(BadFile::Lengths);
     }
     let board = String::from_utf8_lossy(board).into_owned();
-    Ok(Image { board, version: None, protocol: None, segments }.checked()?)
+    Ok(Image { board, version: None, protocol: None, segments }.check()?)
 }
 
 fn bytes<'a, const N: usize>(rest: &mut &'a [u8]) -> Result<&'a [u8; N], BadFile> {

@@ -42,7 +42,7 @@ pub(crate) struct Contact<'a> {
     pub normal: [f64; MAX_JOINTS],
     pub around: &'a Loop,
     /// Commanded torques before the first period, N m.
-    pub before: [f64; MAX_JOINTS],
+    pub initial_torque: [f64; MAX_JOINTS],
     /// Additional motor torques without delay, N m.
     pub weight_torque: [f64; MAX_JOINTS],
     /// Damping and stiffness of the hand. Its mass is in the plant.
@@ -53,7 +53,7 @@ impl<'a> Contact<'a> {
     /// Prepares the contact of a plant at rest in a control loop.
     pub fn new(plant: Plant, normal: [f64; MAX_JOINTS], around: &'a Loop, hand: Hand) -> Self {
         let none = [0.0; MAX_JOINTS];
-        Self { plant, normal, around, before: none, weight_torque: none, hand }
+        Self { plant, normal, around, initial_torque: none, weight_torque: none, hand }
     }
 
     /// Simulates `seconds` with the hand's `grip` at each time (s), or until `seen` returns false. Each period `seen`
@@ -72,8 +72,8 @@ impl<'a> Contact<'a> {
         let tip0 = self.plant.tip();
         let whole = delay_samples.floor();
         let fraction = delay_samples - whole;
-        let mut delayed: VecDeque<_> = (0..whole as usize).map(|_| self.before).collect();
-        let (mut acting, mut torque) = (self.before, self.before);
+        let mut delayed: VecDeque<_> = (0..whole as usize).map(|_| self.initial_torque).collect();
+        let (mut acting, mut torque) = (self.initial_torque, self.initial_torque);
         for n in 0..(seconds * rate_hz).round() as usize {
             let grip_now = grip(n as f64 * period);
             let LawOutput { force, torque: commanded } = law.evaluate(&self.plant.measured());

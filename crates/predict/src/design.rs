@@ -1,7 +1,7 @@
 //! Finds the best walls of a device: direction, place, posture, and changes of links, rotors and gears.
 //!
 //! Places, directions and postures are rated by inertia: Weff without the feed-forward and Wrr with it. Without joint
-//! damping the stable boundary of a rigid device is that of a single mass, so the largest stiffness is proportional to
+//! damping a rigid device has the stable boundary of a single mass, so the largest stiffness is proportional to
 //! the inertia (docs/model.md). The stiffness at each place, and its change with each number of the device, is the
 //! prediction of `haptic range` with joint damping and transmissions. `haptic tune` includes friction and ripple.
 //!
@@ -18,14 +18,14 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use haptic_host::error::{Choice, Failure};
-use haptic_stability::analysis::pose::{TaskPose, angles, regular};
+use haptic_stability::analysis::pose::{TaskPose, check_angles, check_regular};
 use haptic_stability::analysis::range::BoundaryPoint;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
 /// The stiffest stable walls at a place over all dampings, as predicted by `haptic range`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Stiffest {
+pub struct StiffestWalls {
     /// Wall without the feed-forward.
     pub off: BoundaryPoint,
     /// Wall with the feed-forward.
@@ -58,12 +58,12 @@ pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Op
 }
 
 fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
-    angles(from, N).ok()?;
+    check_angles(from, N).ok()?;
     let place = SVector::<f64, N>::from_fn(|i, _| place[i]);
     let mut q = SVector::<f64, N>::from_column_slice(from);
     for _ in 0..40 {
         let pose = m.pose::<FineTable>(&q);
-        regular(&m.regularity(&pose)).ok()?;
+        check_regular(&m.regularity(&pose)).ok()?;
         let off = place - m.tip(&pose);
         if off.norm() < 1e-12 {
             return Some(q.as_slice().to_vec());

@@ -1,4 +1,4 @@
-//! Tools for a given device. They measure its stable walls on a real or simulated board; find the settings, place,
+//! Tools for a given device, which measure its stable walls on a real or simulated board; find the settings, place,
 //! posture and links for the stiffest wall; warn of implausible values in a device or a scene; simulate encoder steps
 //! at a wall; and choose the cheapest sufficient control step.
 //!

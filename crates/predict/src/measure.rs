@@ -1,15 +1,15 @@
 //! Measures stable gains on a board: raises the stiffness until the loop oscillates, then bisects.
 //!
-//! The measurement uses only the board's protocol, so the board may be simulated, emulated or real. It does not use the
-//! theory. Telemetry shows if the tip's motion decays, grows or continues ([`swing`]).
+//! The measurement uses only the board's protocol, so the board may be simulated, emulated or real. The measurement
+//! does not use the theory. Telemetry shows if the tip's motion decays, grows or continues ([`swing`]).
 //!
 //! The tested walls are one bilateral wall, or several with given shares of one stiffness and damping, at the position
 //! where the tip is held. Walls also hold the tip, because gains change at once but a new scene fades in over half a
 //! second: one wall along the pull and one for every direction across it (`measure/walls.rs`).
 //!
 //! A trial pulls the tip aside by a small distance, lets it swing back, and switches to the tested gains. The holding
-//! walls are soft springs, chosen from the inertia at the pose, the filter's cutoff and friction. They are made softer
-//! until the tip rests, because a device with compliant cables may tolerate less damping than a rigid one.
+//! walls are soft springs, chosen from the inertia at the pose, the filter's cutoff and friction. They become softer
+//! until the tip rests, because a device with compliant cables may tolerate less damping than a rigid device.
 //!
 //! A tip position has several poses. The joints are compared with the first pose before and after every trial, and a
 //! trial in another pose does not count. A redundant device also needs a [`Law::posture`].
@@ -20,9 +20,9 @@
 //! A pull must be longer than the motion that encoder steps cause ([`excitation`]). If the motors cannot make the force
 //! of the shortest such pull, there is no result.
 
-pub mod before;
 pub mod board_measurement;
 pub mod campaign;
+pub mod earlier_settings;
 pub mod excitation;
 pub mod prepared;
 pub mod progress;
@@ -41,7 +41,7 @@ use haptic_stability::analysis::several::Member;
 pub use prepared::{PreparedBoard, rules_for};
 pub use search::Boundary;
 use thiserror::Error;
-pub use walls::{LONGEST_PULL, complement, most_tested};
+pub use walls::{LONGEST_PULL, complement, max_tested_walls};
 
 /// Reason why a measurement, or its part at one damping, ended early. The motors are then off: the measurement turned
 /// them off, or the board does so because it no longer receives heartbeats.

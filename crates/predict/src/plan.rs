@@ -10,7 +10,7 @@
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
-use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
@@ -36,8 +36,8 @@ pub enum Budget {
 }
 
 impl Budget {
-    /// Returns the error of a variant relative to this budget.
-    pub fn used(self, errors: &Errors) -> f64 {
+    /// Returns the ratio of a variant's error to this budget.
+    pub fn share_of_budget(self, errors: &Errors) -> f64 {
         match self {
             Budget::Percent(percent) => 100.0 * errors.share.max / percent,
             Budget::OneDutyStep => errors.duty.max,
@@ -58,8 +58,8 @@ pub struct Candidate {
     pub errors: Errors,
     /// Error without the fading that all variants have.
     #[serde(skip)]
-    pub given: Errors,
-    /// Ratio of the error `given` to the budget.
+    pub unfaded_errors: Errors,
+    /// Ratio of the error without fading to the budget.
     pub used: f64,
 }
 
@@ -69,7 +69,7 @@ pub struct Plan {
     /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
     /// The chosen mass model.
-    pub mass: Precomputed,
+    pub mass: PrecomputedModel,
     /// Terms of the walls' feed-forward.
     pub terms: Terms,
     /// Instructions of the slowest control step on the Cortex-M4F.
@@ -132,7 +132,7 @@ fn plan_on(
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
         scene.velocity_terms = VelocityTerms::Off;
         let instructions = cost(device, &scene, "exact");
-        let (mass, errors) = (Precomputed::default(), Errors::default());
+        let (mass, errors) = (PrecomputedModel::default(), Errors::default());
         return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
@@ -154,9 +154,10 @@ fn plan_on(
     let mut chosen = None;
     for (instructions, terms, mass) in variants {
         let variant = TorqueVariant { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
-        let VariantErrors { whole: errors, given } = errors(device, &probes, &variant);
-        let used = budget.used(&given);
-        candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });
+        let VariantErrors { whole: errors, unfaded_errors } = errors(device, &probes, &variant);
+        let used = budget.share_of_budget(&unfaded_errors);
+        let (model, terms_name) = (mass.name(), terms.name());
+        candidates.push(Candidate { model, terms: terms_name, instructions, errors, unfaded_errors, used });
         if chosen.is_none() && used <= MARGIN {
             chosen = Some((instructions, terms, mass, errors));
         }
@@ -164,8 +165,8 @@ fn plan_on(
     let Some((instructions, terms, mass, errors)) = chosen else {
         let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
         let least = best.map_or(f64::NAN, |best| match budget {
-            Budget::Percent(_) => 100.0 * best.given.share.max / MARGIN,
-            Budget::OneDutyStep => best.given.duty.max / MARGIN,
+            Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / MARGIN,
+            Budget::OneDutyStep => best.unfaded_errors.duty.max / MARGIN,
         });
         let (wanted, unit) = match budget {
             Budget::Percent(percent) => (percent, "percent"),
@@ -177,7 +178,7 @@ fn plan_on(
         .remedy(format!("allow an error of {:.2}", least * 1.1)));
     };
     scene.velocity_terms = used_of(terms);
-    let [faded, _] = law.fading(device, &probes);
+    let [faded, _] = law.fading_shares(device, &probes);
     let fading = (wanted != VelocityTerms::Off && faded > 0.0).then_some((faded, law.lag));
     reasons.extend(explain(&candidates, terms, &mass, budget, speed, fading));
     Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
@@ -197,9 +198,9 @@ pub fn probes_on_walls(
     Ok(probes)
 }
 
-fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
-    let (points, range) = (most_points(device), range(device, probes));
-    let mut models = vec![Precomputed::default(), frozen(device, probes)];
+fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
+    let (points, range) = (max_grid_points(device), range(device, probes));
+    let mut models = vec![PrecomputedModel::default(), frozen_model(device, probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
     models
@@ -238,13 +239,13 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
 fn explain(
     candidates: &[Candidate],
     terms: Terms,
-    mass: &Precomputed,
+    mass: &PrecomputedModel,
     budget: Budget,
     speed: f64,
     fading: Option<(f64, f64)>,
 ) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
-    // Use the force that 99 % of the situations do not exceed, because the others are close to singularities.
+    // Uses the force that 99 % of the situations do not exceed, because the others are close to singularities.
     let size = |errors: &Errors| {
         let Errors { force, share, duty, .. } = errors;
         let most = match budget {
@@ -256,7 +257,7 @@ fn explain(
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
         let verdict = match terms {
-            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too small to be compensated",
+            Terms::FeedForward if budget.share_of_budget(&without.errors) <= MARGIN => "too small to be compensated",
             Terms::FeedForward => "too small to be compensated where they do not fade",
             _ if fading.is_some() => "they are compensated, except where they fade",
             _ => "they are compensated",
@@ -277,7 +278,8 @@ fn explain(
             "frozen" => "so one matrix is enough",
             _ => "so the matrix must follow the pose",
         };
-        reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(&one.given)));
+        let error = size(&one.unfaded_errors);
+        reasons.push(format!("one mass matrix for all of the walls is wrong by {error}, {verdict}"));
     }
     if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
     {

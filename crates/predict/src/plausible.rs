@@ -56,7 +56,7 @@ impl FileWarning {
     }
 
     /// Adds the path, line and column in `document`, the file with the value.
-    pub fn about(self, document: &Document) -> Warning {
+    pub fn locate_in(self, document: &Document) -> Warning {
         let at = self.key.and_then(|key| document.find(key.table, key.index, key.part, key.name));
         Warning {
             path: document.path().display().to_string(),
@@ -67,7 +67,7 @@ impl FileWarning {
     }
 
     /// Returns the warning for a value from the command line.
-    pub fn typed(self) -> Warning {
+    pub fn for_command_line(self) -> Warning {
         Warning { path: String::new(), line: None, column: None, text: self.text }
     }
 }
@@ -87,7 +87,7 @@ impl core::fmt::Display for Warning {
 
 /// A result with its warnings as one JSON document. Without warnings the key `warnings` is left out.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Warned<'a, T> {
+pub struct WithWarnings<'a, T> {
     /// The result.
     #[serde(flatten)]
     pub result: &'a T,

@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
 /// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
-/// Rate at which the push of the hand grows, N/s. It moves a tip that friction would hold at rest.
+/// Rate at which the push of the hand grows, N/s. The growth moves a tip that friction would hold at rest.
 pub(crate) const PUSH_RISE: f64 = 1.0;
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const RECORD_S: f64 = 0.3;
@@ -55,7 +55,7 @@ pub struct Ripple {
 
 impl Ripple {
     /// Returns true if the root mean square is at most `bound_n` (N).
-    pub fn within(&self, bound_n: f64) -> bool {
+    pub fn is_within(&self, bound_n: f64) -> bool {
         self.rms_n.is_some_and(|rms| rms <= bound_n)
     }
 }
@@ -73,7 +73,7 @@ pub struct RippleLine {
 
 /// A device and the hand that presses its wall.
 #[derive(Clone, Debug)]
-pub struct Pressed<'a> {
+pub struct PressedWall<'a> {
     /// The linearised device.
     pub device: &'a Linearised,
     /// Description of the device, with its nonlinear effects.
@@ -90,7 +90,7 @@ pub struct Pressed<'a> {
     pub push_n: f64,
 }
 
-impl Pressed<'_> {
+impl PressedWall<'_> {
     /// Returns the tip motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
         let steps = self.encoder_steps()?;
@@ -130,7 +130,7 @@ impl Pressed<'_> {
     }
 
     /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N).
-    pub fn along(
+    pub fn ripple_line(
         &self,
         mode: Mode,
         line: DampingRule,
@@ -148,7 +148,7 @@ impl Pressed<'_> {
         let wall = |kp: &f64| self.ripple(mode, *kp, line.damping(*kp, mass));
         let stage = format!("ripple of walls, {mode:?}, {line:?}");
         let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
-        let over = points.iter().position(|point| !point.within(bound_n));
+        let over = points.iter().position(|point| !point.is_within(bound_n));
         let kp_from = over.map(|at| {
             let mut high = points[at].kp;
             let Some(before) = at.checked_sub(1) else { return high };
@@ -156,7 +156,7 @@ impl Pressed<'_> {
             while high / low > STIFFNESS_RATIO {
                 let middle = (low * high).sqrt();
                 let Some(point) = wall(&middle) else { break };
-                if point.within(bound_n) {
+                if point.is_within(bound_n) {
                     low = middle
                 } else {
                     high = middle
@@ -180,10 +180,10 @@ impl Pressed<'_> {
         let shaped = self.device.shaped_torque();
         let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
         let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
-        let before = padded((&self.device.row * self.push_n).as_slice());
+        let initial_torque = padded((&self.device.row * self.push_n).as_slice());
         let contact = Contact {
             weight_torque: weight,
-            before,
+            initial_torque,
             ..Contact::new(plant, padded(&self.normal), self.around, self.hand)
         };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
@@ -234,7 +234,7 @@ struct LinearLaw<'a> {
     compensated: Option<(Vec<EstimatedMotion>, DMatrix<f64>)>,
     mode: Mode,
     /// Slow part of the force, for a washout, N.
-    slow: f64,
+    slow_force: f64,
     kp: f64,
     kd: f64,
     /// Position of the wall's surface along the normal, m.
@@ -247,7 +247,7 @@ struct LinearLaw<'a> {
 /// A motion of the joints, with its velocity estimator.
 struct EstimatedMotion {
     row: DVector<f64>,
-    before: f64,
+    last_position: f64,
     /// States of the estimator, then the motion in the last period, then the motion that the last command predicts.
     memory: DVector<f64>,
 }
@@ -255,16 +255,16 @@ struct EstimatedMotion {
 impl EstimatedMotion {
     /// Creates the motion at rest at these angles (rad).
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
-        Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
+        Self { last_position: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }
 
     /// Returns position and velocity per sample. `given` is each joint's velocity from the last command, rad.
     fn estimate(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
         let x = self.row.dot(angles);
         let states = estimator.nrows() - 1;
-        self.memory[states] = x - self.before;
+        self.memory[states] = x - self.last_position;
         self.memory[states + 1] = self.row.dot(given);
-        self.before = x;
+        self.last_position = x;
         let change = estimator * &self.memory;
         for state in 0..states {
             self.memory[state] += change[state];
@@ -275,7 +275,7 @@ impl EstimatedMotion {
 
 impl<'a> LinearLaw<'a> {
     fn new(
-        pressed: &'a Pressed<'_>,
+        pressed: &'a PressedWall<'_>,
         steps: &'a [f64],
         mode: Mode,
         (kp, kd): (f64, f64),
@@ -306,7 +306,7 @@ impl<'a> LinearLaw<'a> {
             compensated,
             estimator,
             mode,
-            slow: pressed.push_n,
+            slow_force: pressed.push_n,
             kp,
             kd,
             // At the start the wall carries the push of the hand.
@@ -338,9 +338,9 @@ impl Law for LinearLaw<'_> {
             Mode::Full => [0.0, force],
             Mode::Washout(hz) => {
                 let g = (std::f64::consts::PI * hz * period).tan();
-                let step = (force - self.slow) * g / (1.0 + g);
-                let washed = force - (self.slow + step);
-                self.slow += 2.0 * step;
+                let step = (force - self.slow_force) * g / (1.0 + g);
+                let washed = force - (self.slow_force + step);
+                self.slow_force += 2.0 * step;
                 [force - washed, washed]
             }
         };

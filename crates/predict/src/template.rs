@@ -123,7 +123,7 @@ fn example(kind: Kind) -> Example {
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
-/// Returns a device file of this mechanism. It passes every check except the confirmation of its motors.
+/// Returns a device file of this mechanism that passes every check except the confirmation of its motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
@@ -242,7 +242,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
-        // Round to tenths of a millimetre, without a negative zero.
+        // Rounds to tenths of a millimetre, without a negative zero.
         let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
         let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
         format!("[{}]", values.join(", "))

@@ -37,7 +37,7 @@ impl Tip {
         self.largest_at_corners(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
     }
 
-    /// Returns torque limits that bound the tip force to `newtons`, N m per joint. They are proportional to the torque
+    /// Returns torque limits that bound the tip force to `newtons`, N m per joint, in proportion to the torque
     /// that each joint needs for this force in its own direction.
     pub fn torques_for(&self, newtons: f64) -> Vec<f64> {
         let jacobian = self.pose.jacobian.rows(0, self.pose.task);
@@ -146,7 +146,7 @@ mod tests {
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
             let mut most = 0.0_f64;
-            // Check torques throughout the box, not only at its corners.
+            // Checks torques throughout the box, not only at its corners.
             for nth in 0..1000_u32 {
                 let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
                 let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);

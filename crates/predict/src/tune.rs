@@ -34,7 +34,7 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use limits::limits;
 pub use limits::{Limit, NeighbourWall};
-pub use margins::{Margins, vertex};
+pub use margins::{Margins, extreme_device};
 pub use scene::to_toml;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -87,7 +87,7 @@ pub struct Settings {
     pub kind: Estimator,
     /// Name of the estimator.
     pub estimator: &'static str,
-    /// Parameter of the estimator; 0 if it has none.
+    /// Parameter of the estimator; 0 without a parameter.
     pub value: u32,
     /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
@@ -122,7 +122,7 @@ impl Settings {
         })
     }
 
-    pub(crate) fn rendered(&self, admissible: Admissible) -> RenderedWall {
+    pub(crate) fn rendered_wall(&self, admissible: Admissible) -> RenderedWall {
         RenderedWall {
             kind: self.kind,
             cutoff_hz: self.cutoff_hz,
@@ -175,9 +175,9 @@ pub struct TunedWall {
 /// The result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TuneResult {
-    /// The stiffest wall, or the stiffest without feed-forward if it is within 3 %.
+    /// The stiffest wall, or the stiffest wall without feed-forward if that is within 3 %.
     pub best: TunedWall,
-    /// The stiffest wall if it is not `best`.
+    /// The stiffest wall if `best` is another wall.
     pub passed_over: Option<TunedWall>,
     /// Name of the limit that a stiffer wall exceeds first.
     pub active: &'static str,
@@ -227,7 +227,7 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
     let (mut all, looked_at) = context.search_all()?;
-    all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
+    all.iter_mut().for_each(|candidate| candidate.felt = context.felt_stiffness(&candidate.settings));
     let Some((best, passed_over)) = choose_wall(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here is stable within the margins and ripples by at most {} N",
@@ -236,8 +236,8 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
-    let (active, limits, beside) = sweep.during("limits of the wall", || limits(&context, &best))?;
-    let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
+    let (active, limits, beside) = sweep.run_stage("limits of the wall", || limits(&context, &best))?;
+    let feed_forwards = sweep.run_stage("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
     Ok(TuneResult {
         best,
         passed_over,
@@ -251,16 +251,16 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
 }
 
 /// Returns the stiffest wall; the first of equally stiff walls.
-fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
+fn stiffest_wall<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
     let stiffer = |other: &TunedWall, best: &TunedWall| other.settings.stiffness > best.settings.stiffness;
     walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// Returns the chosen wall, and the stiffest wall if that is not the chosen one. A feed-forward needs a correct model
-/// and pushes along the wall, so a wall without it is chosen if it is equally stiff.
+/// Returns the chosen wall, and the stiffest wall if that is another wall. A feed-forward needs a correct model
+/// and pushes along the wall, so a wall without feed-forward is chosen if it is equally stiff.
 fn choose_wall(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
-    let top = stiffest(all)?;
-    let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
+    let top = stiffest_wall(all)?;
+    let plain = stiffest_wall(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {
         Some(plain) if plain.settings.stiffness * STIFFNESS_RATIO >= top.settings.stiffness => {
             Some((plain, (plain != top).then_some(top)))

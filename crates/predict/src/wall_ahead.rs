@@ -16,7 +16,7 @@ use haptic_stability::analysis::sampled::Mode;
 /// Distance of the wall from the tip, m.
 const WALL_DISTANCE: f64 = 0.006;
 
-/// Penetration at which a first wall may need all of the motors' torque, m. Less feels like a switch.
+/// Penetration at which a first wall may need all of the motors' torque, m. A smaller depth feels like a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
 /// Share of the allowed ripple that a first wall may have, because other hands also press it.
 const RIPPLE_SHARE: f64 = 0.7;
@@ -37,7 +37,7 @@ pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
 }
 
 /// Returns a wall in front of the tip at home for which `haptic check` prints no warning: stable, within the motors'
-/// torque, and without rattle. It is on the side of the tip that a hand can reach.
+/// torque, and without rattle. The wall is on the side of the tip that a hand can reach.
 pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     let first = first_wall_on(file, 1.0)?;
     if is_touched(file, &first.scene) {
@@ -47,14 +47,14 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     Ok(if is_touched(file, &other.scene) { other } else { first })
 }
 
-/// Returns true if a hand that moves like that of `haptic sim` reaches a wall of the scene from home.
+/// Returns true if a hand that moves like the hand of `haptic sim` reaches a wall of the scene from home.
 fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     let home = file.description.home.unwrap_or_default();
     let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);
     pose.is_ok_and(|pose| HandLoop::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
 }
 
-/// Returns the wall on one side: below the tip if `side` is 1, above it if -1.
+/// Returns the wall on one side: below the tip if `side` is 1, above the tip if -1.
 fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     let stable = stable_wall(file, side)?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
@@ -65,7 +65,7 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
         for _ in 0..MAX_REDUCTIONS {
             let (warnings, contacts) = file_warnings(&subject, &scene.cast());
             match contacts.first() {
-                Some(contact) if warnings.is_empty() => return Ok(without_rattle(file, scene, contact)),
+                Some(contact) if warnings.is_empty() => return Ok(soften_until_quiet(file, scene, contact)),
                 None if warnings.is_empty() => return Ok(FirstWall { scene, ripple: None }),
                 _ => weaken(&mut scene, 0.5, 0.5),
             }
@@ -75,7 +75,7 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
 }
 
 /// Makes the wall softer until it is within the motors' torque and does not rattle, if possible.
-fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
+fn soften_until_quiet(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
     let stiffness = |scene: &Scene<f32>| scene.walls.first().map_or(0.0, |wall| f64::from(wall.stiffness));
     let most = contact.force.map_or(f64::INFINITY, |force| force / FULL_FORCE_DEPTH).max(SOFTEST_WALL);
     let factor = (most / stiffness(&scene)).min(1.0);

@@ -133,11 +133,11 @@ pub struct SimulatedBoard {
     /// Counts at the last crest.
     last_counts: Counts,
     drive: [MotorInput; 3],
-    bridges: bool,
-    injected: Option<(Fault, Option<u8>, f32)>,
+    bridges_on: bool,
+    injected_fault: Option<(Fault, Option<u8>, f32)>,
     since_poll: f64,
     packer: Packer,
-    dropped: u32,
+    dropped_rows: u32,
     link: Port,
     /// Path of the hand while the motors are on.
     hand_loop: Option<HandLoop>,
@@ -184,11 +184,11 @@ impl SimulatedBoard {
             readings: 0,
             last_counts,
             drive: [MotorInput::Floating; 3],
-            bridges: false,
-            injected: None,
+            bridges_on: false,
+            injected_fault: None,
             since_poll: 0.0,
             packer: Packer::default(),
-            dropped: 0,
+            dropped_rows: 0,
             hand_loop: None,
             follows_loop: false,
             armed_at: None,
@@ -250,19 +250,19 @@ impl SimulatedBoard {
             if index.contains(&true) {
                 self.machine.control_loop.mark(marks);
             }
-            if let Some((fault, axis, value)) = self.injected.take() {
+            if let Some((fault, axis, value)) = self.injected_fault.take() {
                 self.machine.control_loop.trip(fault, axis, value);
             }
         }
         let (outputs, duties) = self.machine.control_loop.crest(&samples, &currents, due);
-        self.bridges = outputs.bridges;
+        self.bridges_on = outputs.bridges;
         if due {
             self.update_hand();
             self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
         for _ in 0..carriers {
-            self.bridges &= self.machine.control_loop.check_slow_faults(&samples).bridges;
+            self.bridges_on &= self.machine.control_loop.check_slow_faults(&samples).bridges;
         }
         if due {
             self.record();
@@ -270,7 +270,7 @@ impl SimulatedBoard {
         let torques = self.machine.control_loop.frame().motors.torque;
         let mut next = [MotorInput::Floating; 3];
         for (axis, input) in next.iter_mut().enumerate() {
-            *input = match (self.bridges, self.options.drive) {
+            *input = match (self.bridges_on, self.options.drive) {
                 (false, _) => MotorInput::Floating,
                 (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
                 (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
@@ -381,8 +381,8 @@ impl SimulatedBoard {
             return;
         }
         if !self.link.has_room() {
-            self.dropped = self.dropped.wrapping_add(1);
-        } else if let Some(batch) = self.packer.push(&frame, self.dropped) {
+            self.dropped_rows = self.dropped_rows.wrapping_add(1);
+        } else if let Some(batch) = self.packer.push(&frame, self.dropped_rows) {
             self.link.publish::<Telemetry>(batch);
         }
     }
@@ -432,7 +432,7 @@ impl SimulatedBoard {
     }
     /// Injects a fault of the hardware, which the next control step reports.
     pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        self.injected = Some((fault, axis, value));
+        self.injected_fault = Some((fault, axis, value));
     }
     /// Returns the time since the host's last heartbeat, or since a dead man's key was last seen down, and the time
     /// after which the board acts, s. Returns `None` while the board would not act.
@@ -483,7 +483,7 @@ impl SimulatedBoard {
             AfterReply::Nothing => {}
             AfterReply::Stream(request, axes) => {
                 self.packer.start(&request, axes);
-                self.dropped = 0;
+                self.dropped_rows = 0;
             }
             // There is no boot loader to enter; a real boot loader would end with a restart.
             AfterReply::BootLoader | AfterReply::Restart => self.restart(),
@@ -498,7 +498,7 @@ impl SimulatedBoard {
         self.machine.control_loop.start_heat(heat);
         self.service = Service::new(self.hardware, hard_limits(self.hardware, self.device.bus_voltage()));
         self.drive = [MotorInput::Floating; 3];
-        self.bridges = false;
+        self.bridges_on = false;
         self.packer = Packer::default();
         self.reset_support();
         self.service.boot(&mut self.machine);

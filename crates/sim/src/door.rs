@@ -5,7 +5,7 @@
 //! carried out.
 
 use haptic_bridge::board::protocol::Disarm;
-use haptic_host::link::{Deframer, Occupied, encode, should_retry};
+use haptic_host::link::{Deframer, OccupiedTopic, encode, should_retry};
 use haptic_host::places::{Place, Places};
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
@@ -19,18 +19,18 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 pub(super) enum Event {
-    Connected(Outgoing),
+    Connected(OutgoingBlocks),
     Bytes(Vec<u8>),
     Gone,
 }
 
 /// A request to disarm from a tool that does not hold the board, and the queue for the reply. The queue of these
 /// requests is polled first, so that the holder's traffic delays a request by at most one block.
-pub(super) type Stop = (Vec<u8>, Outgoing);
+pub(super) type DisarmRequest = (Vec<u8>, OutgoingBlocks);
 
 /// Queue of blocks of bytes to a tool. A separate thread writes the blocks, so that a tool that does not read blocks no
 /// other tool.
-pub(super) type Outgoing = SyncSender<Vec<u8>>;
+pub(super) type OutgoingBlocks = SyncSender<Vec<u8>>;
 
 /// Maximum number of blocks in the queue to a tool.
 const MAX_BLOCKS: usize = 8;
@@ -39,9 +39,9 @@ pub(super) const BLOCK_BYTES: usize = 4096;
 /// Maximum number of events in the queue to the board.
 const MAX_EVENTS: usize = 16;
 /// Maximum number of connections in addition to the holder. A further connection closes another, see [`Places`].
-const MAX_PENDING: usize = 16;
+const MAX_PENDING_CONNECTIONS: usize = 16;
 /// Maximum number of disarm requests that wait for the board.
-pub(super) const MAX_STOPS: usize = MAX_PENDING;
+pub(super) const MAX_DISARM_REQUESTS: usize = MAX_PENDING_CONNECTIONS;
 /// Longest wait for the request of a refused connection.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time for which a tool that disarms the board without holding it receives the board's bytes.
@@ -67,7 +67,7 @@ pub struct ToolListener {
     /// The port's name for `--port`.
     pub port: String,
     pub(super) events: Receiver<Event>,
-    pub(super) stops: Receiver<Stop>,
+    pub(super) stops: Receiver<DisarmRequest>,
 }
 
 /// Opens a pseudo-terminal.
@@ -80,10 +80,10 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
     // Uses one writer for all tools, because a quick change of tools is not always detected.
-    let writer = outgoing(master.try_clone_native()?, LossPolicy::Block);
+    let writer = start_writer(master.try_clone_native()?, LossPolicy::Block);
     let (send, events) = sync_channel(MAX_EVENTS);
     // The queue stays empty, because the request of a disarming tool comes among the holder's bytes.
-    let (_, stops) = sync_channel(MAX_STOPS);
+    let (_, stops) = sync_channel(MAX_DISARM_REQUESTS);
     thread::spawn(move || {
         let mut connected = false;
         let mut buffer = [0; BLOCK_BYTES];
@@ -118,11 +118,11 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
     let (send, events) = sync_channel(MAX_EVENTS);
-    let (stop, stops) = sync_channel(MAX_STOPS);
+    let (stop, stops) = sync_channel(MAX_DISARM_REQUESTS);
     thread::spawn(move || {
         let holder = Holder::default();
         // One address may take all places, because several tools may connect through one relay.
-        let places = Places::new(MAX_PENDING, MAX_PENDING);
+        let places = Places::new(MAX_PENDING_CONNECTIONS, MAX_PENDING_CONNECTIONS);
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
             let Some(place) = places.enter(&stream) else { continue };
@@ -211,7 +211,7 @@ impl Holder {
     /// Gives the board to this connection if the board becomes free in time. A connection that sends bytes also takes
     /// the board of a silent holder.
     fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
-        static SEATS: AtomicU64 = AtomicU64::new(0);
+        static NEXT_SEAT: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();
         let mut is_active = false;
         loop {
@@ -221,7 +221,7 @@ impl Holder {
                     None => {
                         let _ = stream.set_read_timeout(None);
                         let Ok(stream) = stream.try_clone() else { return Admission::Refused };
-                        let seat = SEATS.fetch_add(1, Ordering::SeqCst);
+                        let seat = NEXT_SEAT.fetch_add(1, Ordering::SeqCst);
                         *holder = Some(Connection { seat, stream, last_received: Instant::now() });
                         return Admission::Holds(seat);
                     }
@@ -271,11 +271,11 @@ fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, sea
     holder.release(seat);
 }
 
-fn start_tcp_writer(stream: &TcpStream) -> io::Result<Outgoing> {
+fn start_tcp_writer(stream: &TcpStream) -> io::Result<OutgoingBlocks> {
     stream.set_nodelay(true)?;
     let writer = stream.try_clone()?;
     writer.set_write_timeout(Some(Duration::from_millis(100)))?;
-    Ok(outgoing(writer, LossPolicy::Sink))
+    Ok(start_writer(writer, LossPolicy::Sink))
 }
 
 /// Reads the first request of a second tool. Returns a request to disarm; otherwise replies that the board is occupied.
@@ -298,7 +298,7 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
         });
     }
     if disarm.is_none() {
-        let header = VarHeader { key: VarKey::Key8(Occupied::TOPIC_KEY), seq_no: VarSeq::Seq2(0) };
+        let header = VarHeader { key: VarKey::Key8(OccupiedTopic::TOPIC_KEY), seq_no: VarSeq::Seq2(0) };
         let mut writer = stream;
         let _ = writer.write_all(&encode(&header, &[]));
         let _ = stream.shutdown(Shutdown::Write);
@@ -308,7 +308,7 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
 }
 
 /// Disarms the board for a tool that does not hold the board, and sends the reply to the tool.
-fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
+fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<DisarmRequest>) -> io::Result<()> {
     let answers = start_tcp_writer(&stream)?;
     let _ = stop.send((request, answers));
     stream.set_read_timeout(Some(DISARM_REPLY_TIME))?;
@@ -332,7 +332,7 @@ enum LossPolicy {
 }
 
 /// Starts a thread that writes blocks to `sink` until the sender is dropped or the sink is closed.
-fn outgoing(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> Outgoing {
+fn start_writer(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> OutgoingBlocks {
     let (send, blocks) = sync_channel::<Vec<u8>>(MAX_BLOCKS);
     thread::spawn(move || {
         for block in blocks {

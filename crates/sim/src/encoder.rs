@@ -4,7 +4,7 @@
 use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
-/// The encoder of a joint. It counts from the angle at which the counter was zero, usually the joint angle at power-on.
+/// The encoder of a joint, which counts from the angle of count 0, usually the joint angle at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
     /// Counts per radian; negative for an inverted encoder.
@@ -33,7 +33,7 @@ impl EncoderModel {
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
     /// Returns the encoder with its edges shifted by `share` of one count.
-    pub fn shifted(&self, share: f64) -> Self {
+    pub fn with_shifted_edges(&self, share: f64) -> Self {
         Self { origin: self.origin + share * self.resolution(), ..*self }
     }
     /// Returns the angle of one count, rad.

@@ -25,8 +25,8 @@ pub struct BoardFaults {
     pub shake: [i32; 3],
     /// Offset of an encoder, counts.
     pub count_offset: [i32; 3],
-    /// First count and share of the joint's motion that an encoder shows from this count on. The share is 0 for a dead
-    /// encoder and -1 for a reversed encoder.
+    /// Count from which an encoder shows only a share of the joint's motion, and the share: 0 for a dead encoder, -1
+    /// for a reversed encoder.
     pub share: [Option<(i32, f64)>; 3],
     /// First reading and rate of an encoder's drift, counts per reading.
     pub drift: [Option<(u64, f64)>; 3],

@@ -8,16 +8,16 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Default)]
 pub struct SettingsFlash {
     /// The committed entries, which the board reads at its next start.
-    pub kept: BTreeMap<u8, Entry>,
+    pub committed_entries: BTreeMap<u8, Entry>,
     /// True if writing fails.
-    pub broken: bool,
+    pub fails_writes: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
 impl SettingsFlash {
     /// Stages an entry.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        if self.broken {
+        if self.fails_writes {
             return Err(Refusal::Flash);
         }
         self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
@@ -30,17 +30,18 @@ impl SettingsFlash {
     }
     /// Commits the staged entries of these settings, all or none, and drops the other staged entries.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
+        if self.fails_writes || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
             return Err(Refusal::Flash);
         }
         let staged = std::mem::take(&mut self.staged);
-        self.kept.extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
+        self.committed_entries
+            .extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
         Ok(())
     }
 
     /// Returns the committed entry of a setting.
     pub fn load(&self, key: Key) -> Option<Entry> {
-        self.kept.get(&(key as u8)).cloned()
+        self.committed_entries.get(&(key as u8)).cloned()
     }
     /// Drops staged entries, as a restart does.
     pub fn restart(&mut self) {

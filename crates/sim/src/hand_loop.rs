@@ -23,10 +23,10 @@ pub struct HandLoop {
     rest: [f64; 3],
     /// Centre of the loop, m.
     pub centre: Vector3<f64>,
-    /// Unit vector across the wall.
-    across: Vector3<f64>,
+    /// Unit normal of the wall.
+    normal: Vector3<f64>,
     /// Unit vector along the wall.
-    along: Vector3<f64>,
+    tangent: Vector3<f64>,
     /// True if the circle goes through the surface of a wall.
     pub on_a_wall: bool,
 }
@@ -47,22 +47,22 @@ impl HandLoop {
             [nearest, own_point].map(|centre| Self {
                 rest,
                 centre,
-                across: contact.normal,
-                along: Vector3::new(-contact.normal.y, contact.normal.x, 0.0),
+                normal: contact.normal,
+                tangent: Vector3::new(-contact.normal.y, contact.normal.x, 0.0),
                 on_a_wall: true,
             })
         });
         places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
             rest,
             centre: tip + Vector3::y() * HALF_SIZE_M,
-            across: Vector3::y(),
-            along: Vector3::x(),
+            normal: Vector3::y(),
+            tangent: Vector3::x(),
             on_a_wall: false,
         })
     }
 
     fn corners(&self) -> [Vector3<f64>; 4] {
-        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE_M)
+        [self.tangent, -self.normal, -self.tangent, self.normal].map(|direction| self.centre + direction * HALF_SIZE_M)
     }
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
         self.corners().iter().all(|corner| is_within_reach(file, corner))

@@ -22,7 +22,7 @@ pub struct LocalMachine {
     /// The carrier for the control rate.
     pub carrier: Carrier,
     /// Number of changes of the carrier, one for every new program.
-    pub retimed: u32,
+    pub carrier_changes: u32,
     info: Info,
     /// Time from sampling to the effect of the duty, carrier periods.
     delay: f64,
@@ -35,7 +35,7 @@ impl LocalMachine {
             control_loop: ControlLoop::new(hardware, Rules::default()),
             flash: SettingsFlash::default(),
             carrier: Carrier::for_rate(hardware.timer_hz, CARRIER_MIN_HZ as f32),
-            retimed: 0,
+            carrier_changes: 0,
             info,
             delay,
         }
@@ -66,7 +66,7 @@ impl Machine for LocalMachine {
     fn retime(&mut self, rate_hz: f32) {
         debug_assert!(self.motors_are_off(), "the timer is set while the motors are on");
         self.carrier = Carrier::for_rate(self.carrier.timer_hz, rate_hz);
-        self.retimed = self.retimed.wrapping_add(1);
+        self.carrier_changes = self.carrier_changes.wrapping_add(1);
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         debug_assert!(self.motors_are_off(), "flash is written while the motors are on");

@@ -115,13 +115,13 @@ mod tests {
         max_current: 3.0,
         verified: false,
     };
-    const IDEAL: PowerStage = PowerStage { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
+    const IDEAL_STAGE: PowerStage = PowerStage { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
 
     #[test]
     fn the_current_of_a_blocked_motor_rises_with_l_over_r() {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..100 {
-            motor.step(MotorInput::Duty(0.25), 0.0, &IDEAL, 5e-6);
+            motor.step(MotorInput::Duty(0.25), 0.0, &IDEAL_STAGE, 5e-6);
         }
         // After the time constant L/R = 0.5 ms the current is 1 - 1/e of 6 V / 2 ohm.
         assert!((motor.current() - 3.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn without_inductance_the_back_emf_is_damping() {
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
-        let (torque, damping) = motor.step(MotorInput::Duty(0.25), 10.0, &IDEAL, 5e-6);
+        let (torque, damping) = motor.step(MotorInput::Duty(0.25), 10.0, &IDEAL_STAGE, 5e-6);
         assert!((torque - 0.15).abs() < 1e-15 && (damping - 0.00125).abs() < 1e-15);
         assert!((motor.current() - (6.0 - 0.5) / 2.0).abs() < 1e-12);
     }
@@ -138,11 +138,11 @@ mod tests {
     #[test]
     fn a_floating_bridge_carries_no_current() {
         let mut motor = MotorModel::new(MOTOR);
-        motor.step(MotorInput::Duty(1.0), 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Duty(1.0), 0.0, &IDEAL_STAGE, 1e-4);
         assert!(motor.current() > 1.0);
-        motor.step(MotorInput::Floating, 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Floating, 0.0, &IDEAL_STAGE, 1e-4);
         assert_eq!(motor.current(), 0.0);
-        assert_eq!(motor.step(MotorInput::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
+        assert_eq!(motor.step(MotorInput::Floating, 50.0, &IDEAL_STAGE, 1e-4), (0.0, 0.0));
     }
 
     /// Returns the steady current of a motor at rest, A.
@@ -156,14 +156,14 @@ mod tests {
 
     #[test]
     fn dead_time_reduces_the_voltage_against_the_current() {
-        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
+        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL_STAGE };
         // The dead time takes 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
         assert!((steady_current(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 
     #[test]
     fn dead_time_acts_as_a_resistance_within_the_ripple() {
-        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
+        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL_STAGE };
         // The ripple is 24 V / (4 x 1 mH x 20 kHz) = 0.3 A; the lost 0.96 V act like 0.96 V / 0.3 A = 3.2 ohm.
         assert!((steady_current(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
         // Without inductance the ripple is 24 V / 2 ohm = 12 A; the lost 0.96 V act like 0.96 V / 12 A = 0.08 ohm.
@@ -175,7 +175,7 @@ mod tests {
     #[test]
     fn a_nan_duty_applies_no_voltage() {
         let mut motor = MotorModel::new(MOTOR);
-        motor.step(MotorInput::Duty(f64::NAN), 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Duty(f64::NAN), 0.0, &IDEAL_STAGE, 1e-4);
         assert_eq!(motor.current(), 0.0);
     }
 }

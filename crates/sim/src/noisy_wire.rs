@@ -14,7 +14,7 @@ pub struct NoisyWire {
     wire: Box<dyn Wire>,
     random: Random,
     /// Number of next frames that pass unchanged, because a corrupted value in a first request might not be detected.
-    unchanged: u32,
+    unchanged_frames: u32,
 }
 
 impl NoisyWire {
@@ -25,7 +25,7 @@ impl NoisyWire {
     ///
     /// If the motors go off, if a row is neither received nor counted as missing, or if no frame was corrupted.
     pub fn follow(wire: Box<dyn Wire>, steps: u32) -> Losses {
-        let noisy = Self { wire, random: Random::new(7), unchanged: 16 };
+        let noisy = Self { wire, random: Random::new(7), unchanged_frames: 16 };
         let mut board = Board::over(Box::new(noisy), "noisy").expect("the board replies");
         let rules = board.rules().expect("the board sends its rules");
         let with_host_timeout = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules };
@@ -53,8 +53,8 @@ impl NoisyWire {
         let mut corrupted = Vec::new();
         for frame in bytes.split_inclusive(|byte| *byte == 0) {
             let mut frame = frame.to_vec();
-            self.unchanged = self.unchanged.saturating_sub(1);
-            if self.unchanged == 0 && self.random.uniform() < 0.01 {
+            self.unchanged_frames = self.unchanged_frames.saturating_sub(1);
+            if self.unchanged_frames == 0 && self.random.uniform() < 0.01 {
                 let at = self.random.bits() as usize % frame.len();
                 let (byte, next) = (frame[at], (at + 1) % frame.len());
                 match self.random.bits() % 4 {

@@ -2,27 +2,27 @@
 
 use crate::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire};
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, StopOutcome, Wire};
 use std::path::Path;
 
 /// Finds and opens the real or simulated board at `port`, and checks its protocol version.
 pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
     match port {
-        PortSpec::Sim(device) => Board::over(simulated(device.as_deref())?, NAME),
+        PortSpec::Sim(device) => Board::over(simulated(device.as_deref())?, PORT_NAME),
         _ => Board::open(port),
     }
 }
 
 /// Turns the motors of the board at `port` off, see [`Board::stop`].
-pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
+pub fn stop(port: &PortSpec) -> Result<StopOutcome, BoardError> {
     match port {
-        PortSpec::Sim(device) => Board::stop_over(simulated(device.as_deref())?, NAME),
+        PortSpec::Sim(device) => Board::stop_over(simulated(device.as_deref())?, PORT_NAME),
         _ => Board::stop(port),
     }
 }
 
 /// Port name of a simulated board in messages.
-const NAME: &str = "sim";
+const PORT_NAME: &str = "sim";
 
 /// Opens a simulated board with the device of `--port sim:FILE`, or with the shipped device of `--port sim`.
 fn simulated(device: Option<&Path>) -> Result<Box<dyn Wire>, LinkError> {

@@ -40,8 +40,8 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    /// The joints whose dry friction acts; default joints without friction.
-    dry: [Joint; 3],
+    /// Joints with their dry friction; default joints if friction is disabled.
+    dry_joints: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
     singularity_stop: SingularityStop,
@@ -86,11 +86,11 @@ impl ModeState {
     }
 }
 
-/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, so that two sweeps
+/// Maximum number of sweeps of the friction solver, which starts from the previous step's result, so that two sweeps
 /// suffice except in steps in which a joint starts or stops.
 const MAX_SWEEPS: usize = 20;
 
-/// A stop at the distance `nearest` from singularities. It limits the speed of the approach to the distance from the
+/// A stop at the distance `nearest` from singularities, which limits the speed of the approach to the distance from the
 /// stop divided by `softness` (s), and moves a linkage beyond the stop back at the same rate. The stop only absorbs
 /// energy.
 #[derive(Clone, Copy, Debug)]
@@ -103,12 +103,12 @@ struct SingularityStop {
 
 impl SingularityStop {
     /// The stop of every linkage before a parallel singularity, at which the inertia is unbounded. It is closer to the
-    /// singularity than the pose in which a board turns its motors off. Its time constant of 1 ms is long beside a step
+    /// singularity than the pose in which a board turns its motors off. The time constant of 1 ms is long beside a step
     /// of 5 µs.
-    const HARD: Self =
+    const HARD_STOP: Self =
         Self { nearest: 0.5 * MIN_PARALLEL_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
     /// A stop that a hand may hit without a hard impact.
-    const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
+    const SOFT_STOP: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 
     /// Returns the distance from the nearest singularity, in the regularity of a board's feed-forward (no unit).
     fn distance(&self, regularity: &Regularity<f64>) -> f64 {
@@ -117,8 +117,8 @@ impl SingularityStop {
     }
 }
 
-/// Step of the finite difference of the distance from singularities, rad. It is a tenth of the angle from
-/// [`SingularityStop::HARD`] to the singularity.
+/// Step of the finite difference of the distance from singularities, rad: a tenth of the angle from
+/// [`SingularityStop::HARD_STOP`] to the singularity.
 const DIFFERENCE_STEP_RAD: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
@@ -145,10 +145,10 @@ impl Plant {
             joints: spec.joints,
             task: spec.task,
             viscous: description.joints.map(|joint| share * joint.viscous),
-            dry: if friction { description.joints } else { [Joint::default(); 3] },
+            dry_joints: if friction { description.joints } else { [Joint::default(); 3] },
             cogging: description.joints.map(|joint| joint.cogging),
             stops,
-            singularity_stop: SingularityStop::HARD,
+            singularity_stop: SingularityStop::HARD_STOP,
             distance: 0.0,
             q,
             qd: [0.0; 3],
@@ -163,14 +163,14 @@ impl Plant {
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
         };
-        plant.add_stop(SingularityStop::HARD);
+        plant.add_stop(SingularityStop::HARD_STOP);
         Ok(plant)
     }
 
     /// Adds a soft stop before every singularity, at the smallest distance at which a board's feed-forward acts in
-    /// full, or at the present distance if it is smaller.
+    /// full, or at the present distance if that is smaller.
     pub fn add_soft_stop(&mut self) {
-        self.add_stop(SingularityStop::SOFT);
+        self.add_stop(SingularityStop::SOFT_STOP);
     }
     fn add_stop(&mut self, stop: SingularityStop) {
         self.singularity_stop = stop;
@@ -344,7 +344,7 @@ impl Plant {
             }
         }
         let (angle, speed) = (self.motor_angle(), self.motor_velocity());
-        let bounds: [f64; 3] = core::array::from_fn(|i| self.dry[i].dry_friction(speed[i]) * h);
+        let bounds: [f64; 3] = core::array::from_fn(|i| self.dry_joints[i].dry_friction(speed[i]) * h);
         let mut load = *load;
         for i in 0..N {
             if let Some(cogging) = self.cogging[i] {
@@ -402,12 +402,12 @@ impl Plant {
         dry: &[f64; 3],
         h: f64,
     ) {
-        const BOTH: usize = 6;
-        let mut velocity = SVector::<f64, BOTH>::zeros();
-        let (mut inertia, mut damping) = (SMatrix::<f64, BOTH, BOTH>::identity(), SMatrix::<f64, BOTH, BOTH>::zeros());
+        const SIZE: usize = 6;
+        let mut velocity = SVector::<f64, SIZE>::zeros();
+        let (mut inertia, mut damping) = (SMatrix::<f64, SIZE, SIZE>::identity(), SMatrix::<f64, SIZE, SIZE>::zeros());
         let (mut stiffness, mut force) = (damping, velocity);
-        let mut bounds = [0.0; BOTH];
-        let mut beyond_stops = [(false, false); BOTH];
+        let mut bounds = [0.0; SIZE];
+        let mut beyond_stops = [(false, false); SIZE];
         inertia.view_mut((0, 0), (N, N)).copy_from(&mass);
         for i in 0..N {
             velocity[i] = self.qd[i];
@@ -444,12 +444,12 @@ impl Plant {
         let inverse = before.try_inverse().unwrap_or_else(SMatrix::zeros);
         let unconstrained = inverse * momentum;
         let turned = |i: usize| if self.transmissions[i].is_some() { 3 + i } else { i };
-        let mut friction = SVector::<f64, BOTH>::zeros();
+        let mut friction = SVector::<f64, SIZE>::zeros();
         for i in 0..N {
             friction[turned(i)] = self.friction[i];
         }
         let after = unconstrained
-            - inverse * reaction_impulses::<BOTH>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
+            - inverse * reaction_impulses::<SIZE>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
         self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
         self.advance_modes(&core::array::from_fn(|i| after[i]), h);
         for i in 0..N {

@@ -2,7 +2,7 @@
 
 use haptic_bridge::board::dispatch;
 use haptic_bridge::board::protocol::MAX_FRAME;
-use haptic_host::link::{Deframer, envelope};
+use haptic_host::link::{Deframer, encode_plain};
 use postcard_rpc::Topic;
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -58,7 +58,7 @@ impl Port {
     /// the buffer.
     pub(super) fn send(&mut self, frame: &[u8]) {
         if self.out.len() < self.capacity + REPLY_BUFFER_BYTES {
-            self.out.extend(envelope(frame));
+            self.out.extend(encode_plain(frame));
         }
     }
 

@@ -4,7 +4,9 @@
 //! that no tool can exhaust memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK_BYTES, DISARM_REPLY_TIME, Event, MAX_STOPS, Outgoing, Stop, ToolListener};
+use super::door::{
+    BLOCK_BYTES, DISARM_REPLY_TIME, DisarmRequest, Event, MAX_DISARM_REQUESTS, OutgoingBlocks, ToolListener,
+};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -76,7 +78,7 @@ struct Server<'a> {
     /// The board's time at the start, s.
     start: f64,
     /// Time that was skipped because the computer was too slow, s.
-    skipped: f64,
+    skipped_s: f64,
     /// Wall-clock time at which the host's silence began, and duration of the silence on the board's clock at the last
     /// check, s.
     silent_since: (f64, f64),
@@ -85,12 +87,12 @@ struct Server<'a> {
 impl<'a> Server<'a> {
     fn new(board: &'a mut SimulatedBoard, pace: Pace) -> Self {
         let start = board.time();
-        Self { board, pace, tools: Tools::default(), start, skipped: 0.0, silent_since: (0.0, 0.0) }
+        Self { board, pace, tools: Tools::default(), start, skipped_s: 0.0, silent_since: (0.0, 0.0) }
     }
     /// Returns the delay of the board behind the clock, s. Negative if the board is ahead, because requests take time
     /// and a slice ends with a control period.
     fn delay(&self, now: f64) -> f64 {
-        now - self.skipped - (self.board.time() - self.start)
+        now - self.skipped_s - (self.board.time() - self.start)
     }
     fn next_action(&mut self, now: f64) -> NextAction {
         let idle = match self.pace {
@@ -121,14 +123,14 @@ impl<'a> Server<'a> {
             Some(Event::Bytes(bytes)) => self.board.receive(&bytes),
             Some(Event::Gone) => {
                 self.tools.holder = None;
-                self.tools.waiting = None;
+                self.tools.waiting_block = None;
                 self.board.hang_up();
             }
             None => {}
         }
         if next_action == NextAction::Time {
             if self.pace == Pace::RealTime {
-                self.skipped += (self.delay(now) - MAX_CATCH_UP_S).max(0.0);
+                self.skipped_s += (self.delay(now) - MAX_CATCH_UP_S).max(0.0);
             }
             self.board.run(SLICE_S);
         }
@@ -137,11 +139,11 @@ impl<'a> Server<'a> {
     }
 
     /// Disarms the board for a tool that does not hold it.
-    fn disarm_for_guest(&mut self, now: f64, (request, answers): Stop) {
+    fn disarm_for_guest(&mut self, now: f64, (request, answers): DisarmRequest) {
         // Ends a partial frame of the holder.
         self.board.receive(&[0]);
         self.board.receive(&request);
-        if self.tools.guests.len() >= MAX_STOPS {
+        if self.tools.guests.len() >= MAX_DISARM_REQUESTS {
             self.tools.guests.remove(0);
         }
         self.tools.guests.push((answers, now));
@@ -152,22 +154,22 @@ impl<'a> Server<'a> {
 /// The tools that receive the board's bytes.
 #[derive(Default)]
 struct Tools {
-    holder: Option<Outgoing>,
+    holder: Option<OutgoingBlocks>,
     /// The block that the holder has not accepted yet.
-    waiting: Option<Vec<u8>>,
+    waiting_block: Option<Vec<u8>>,
     /// Tools that disarmed the board without holding it, and the times of their requests, s.
-    guests: Vec<(Outgoing, f64)>,
+    guests: Vec<(OutgoingBlocks, f64)>,
 }
 
 impl Tools {
     fn has_no_reader(&self) -> bool {
-        self.guests.is_empty() && (self.holder.is_none() || self.waiting.is_some())
+        self.guests.is_empty() && (self.holder.is_none() || self.waiting_block.is_some())
     }
     /// Sends the board's bytes to the tools until the holder accepts no more. For a guest, continues and drops the
     /// blocks that the holder does not accept.
     fn send_blocks(&mut self, board: &mut SimulatedBoard) {
         while self.holder.is_some() || !self.guests.is_empty() {
-            let block = self.waiting.take().unwrap_or_else(|| {
+            let block = self.waiting_block.take().unwrap_or_else(|| {
                 let mut block = vec![0; BLOCK_BYTES];
                 let count = board.take_bytes(&mut block);
                 block.truncate(count);
@@ -184,7 +186,7 @@ impl Tools {
                 Ok(()) => {}
                 Err(TrySendError::Full(_)) if !self.guests.is_empty() => {}
                 Err(TrySendError::Full(block)) => {
-                    self.waiting = Some(block);
+                    self.waiting_block = Some(block);
                     return;
                 }
                 // The reading thread will report the end of the connection.

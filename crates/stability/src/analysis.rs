@@ -1,6 +1,6 @@
 //! Sampled-data analysis: predicts the stable walls of a device and the distribution of its inertia.
 //!
-//! The analysis needs no board. It computes its predictions from a pose, a direction and the data of the control loop.
+//! The analysis needs no board, and computes its predictions from a pose, a direction and the data of the control loop.
 //!
 //! - [`amplitudes`]: amplitude spectrum of a recorded signal
 //! - [`control_loop`]: a control loop without its device: rate, delay, estimator, drives and feed-forward

@@ -1,6 +1,6 @@
 //! Predicts which walls a device renders stably, by theory alone: the exact sampled loop of device, drives, velocity
 //! estimator and delay, linearised at a pose, in double precision. The crate also maps the device's inertia, optionally
-//! in the board's precision. It needs no board and simulates and draws nothing.
+//! in the board's precision. The crate needs no board, and simulates and draws nothing.
 //!
 //! ```
 //! use haptic_host::device_file::DeviceFile;

@@ -52,7 +52,7 @@ pub struct Direction {
     pub along: Vec<f64>,
     /// Stiffness along the unit vector, relative to the stiffest wall.
     pub stiffness: f64,
-    /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction.
+    /// Share of the force for the level of this direction and the stiffer directions; `None` for the last direction.
     pub share: Option<f64>,
 }
 
@@ -111,7 +111,7 @@ pub struct Condition {
 /// Reason why the quantities cannot be computed at a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModelError {
-    /// J loses rank: joint velocities along `joints` do not move the tip and, on a redundant arm, do not turn it.
+    /// J loses rank: joint velocities along `joints` neither move the tip nor, on a redundant arm, turn the last link.
     Serial {
         /// True if the task has the orientation φ as its last entry.
         oriented: bool,
@@ -159,7 +159,7 @@ impl From<ModelError> for haptic_host::error::Failure {
     fn from(error: ModelError) -> Self {
         let remedy = match error {
             ModelError::NotFinite => "choose smaller speeds and forces",
-            _ => "choose joint angles away from it",
+            _ => "choose joint angles away from the singularity",
         };
         Self::impossible(error).remedy(remedy)
     }
@@ -184,8 +184,8 @@ fn moving_joints(direction: &[f64]) -> String {
     }
 }
 
-/// Smallest sine of the singular angle at which a pose counts as regular. Below it the library clamps its reciprocals.
-pub const SINGULAR: f64 = 1.0e-6;
+/// Smallest sine of the singular angle of a regular pose. The library limits the reciprocals of smaller sines.
+pub const MIN_REGULAR_SINE: f64 = 1.0e-6;
 
 /// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s). An error names the singularity.
 pub fn evaluate(
@@ -207,13 +207,13 @@ pub fn evaluate_holding(
     precision: Precision,
     admissible: Admissible,
 ) -> Result<Report, ModelError> {
-    with_mechanism!(&device.mechanism, m => regular(m, q))?;
+    with_mechanism!(&device.mechanism, m => check_regular(m, q))?;
     let report = match precision {
         Precision::F64 => {
             with_mechanism!(&device.mechanism, m => report::<f64, FineTable, _, _>(m, q, qd, walls, admissible))
         }
         Precision::F32 => {
-            // Wrap the angles as the controller does, because the board's trigonometry is accurate within a turn.
+            // Wraps the angles as the controller does, because the board's trigonometry is accurate within a turn.
             let turn = core::f64::consts::TAU;
             let wrap =
                 |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
@@ -226,18 +226,18 @@ pub fn evaluate_holding(
 }
 
 /// Rejects a singular pose with an error that names the singularity.
-fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
+fn check_regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
     let pose = mechanism.pose::<FineTable>(&vector_of(q));
     let regularity = mechanism.regularity(&pose);
     if regularity.parallel == 0.0 {
         return Err(ModelError::CannotClose);
     }
-    if regularity.parallel < SINGULAR {
+    if regularity.parallel < MIN_REGULAR_SINE {
         let inverse = DMatrix::from_fn(N, N, |i, j| mechanism.jacobian_inverse(&pose)[(i, j)]);
         let (_, free) = weakest_singular_vectors(inverse);
         return Err(ModelError::Parallel { free });
     }
-    if regularity.serial < SINGULAR {
+    if regularity.serial < MIN_REGULAR_SINE {
         let jacobian = mechanism.jacobian(&pose);
         let (lost, joints) = weakest_singular_vectors(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
         return Err(ModelError::Serial { oriented: N > M::SPEC.task, joints, lost });

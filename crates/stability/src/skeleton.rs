@@ -71,7 +71,7 @@ pub struct Skeleton {
     pub tip: Point,
 }
 
-fn along(from: Point, length: f64, angle: f64) -> Point {
+fn point_at(from: Point, length: f64, angle: f64) -> Point {
     (from.0 + length * angle.cos(), from.1 + length * angle.sin())
 }
 
@@ -85,13 +85,13 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
         Kind::FiveBar => five_bar(description, [q[0], q[1]], 0),
         Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
         Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
-        Kind::Serial3r => Some(serial(description, q)),
+        Kind::Serial3r => Some(serial_arm(description, q)),
     }
 }
 
 fn paddle(description: &Description, q: f64) -> Skeleton {
     let length = description.geometry[0];
-    let tip = along((0.0, 0.0), length, q);
+    let tip = point_at((0.0, 0.0), length, q);
     Skeleton {
         bars: vec![Bar { name: "paddle", from: (0.0, 0.0), to: tip, length }],
         angles: vec![Angle { joint: 0, at: (0.0, 0.0), zero: 0.0, angle: q, arm: length }],
@@ -104,7 +104,7 @@ fn paddle(description: &Description, q: f64) -> Skeleton {
 fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skeleton> {
     let [base, l1, l2, r1, r2, assembly] = description.geometry;
     let (a, b) = ((-base / 2.0, 0.0), (base / 2.0, 0.0));
-    let (c, d) = (along(a, l1, q[0]), along(b, l2, q[1]));
+    let (c, d) = (point_at(a, l1, q[0]), point_at(b, l2, q[1]));
     let (dx, dy) = (d.0 - c.0, d.1 - c.1);
     let apart = dx.hypot(dy);
     // Position of the tip's foot on the line from C to D, and height of the tip above the line.
@@ -131,9 +131,9 @@ fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skel
 fn parallelogram(description: &Description, q1: f64, q2: f64) -> Skeleton {
     let [upper, fore, crank, ..] = description.geometry;
     let o = (0.0, 0.0);
-    let e = along(o, upper, q1);
-    let tip = along(e, fore, q2);
-    let (crank_tip, rear) = (along(o, -crank, q2), along(e, -crank, q2));
+    let e = point_at(o, upper, q1);
+    let tip = point_at(e, fore, q2);
+    let (crank_tip, rear) = (point_at(o, -crank, q2), point_at(e, -crank, q2));
     Skeleton {
         bars: vec![
             Bar { name: "upper", from: o, to: e, length: upper },
@@ -152,7 +152,7 @@ fn parallelogram(description: &Description, q1: f64, q2: f64) -> Skeleton {
     }
 }
 
-fn serial(description: &Description, q: &[f64]) -> Skeleton {
+fn serial_arm(description: &Description, q: &[f64]) -> Skeleton {
     let names = ["link-1", "link-2", "link-3"];
     let (mut at, mut heading) = ((0.0, 0.0), 0.0);
     let (mut bars, mut angles) = (Vec::new(), Vec::new());
@@ -160,7 +160,7 @@ fn serial(description: &Description, q: &[f64]) -> Skeleton {
         let length = description.geometry[joint];
         angles.push(Angle { joint, at, zero: heading, angle: q[joint], arm: length });
         heading += q[joint];
-        let to = along(at, length, heading);
+        let to = point_at(at, length, heading);
         bars.push(Bar { name, from: at, to, length });
         at = to;
     }

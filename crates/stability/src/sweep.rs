@@ -1,7 +1,7 @@
 //! Long computations on many items, on all cores, with progress display. Ctrl-C interrupts a computation, and the same
 //! command resumes it. A terminal shows the progress in one line; otherwise each stage prints lines.
 //!
-//! Results are in the order of the items, and stored results equal recomputed ones to the bit. The result therefore
+//! Results are in the order of the items, and stored results equal recomputed results to the bit. The result therefore
 //! does not depend on the number of cores, the order of the work or interruptions.
 
 use haptic_host::error::{Choice, Failure};
@@ -65,7 +65,7 @@ enum Display {
 }
 
 /// Environment variable that suppresses progress lines, for programs that show the standard error of their commands.
-pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
+pub const QUIET_VARIABLE: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
     checkpoint: Checkpoint,
@@ -101,11 +101,11 @@ impl Sweep {
                         earlier.version
                     );
                     return Err(Failure::wrong(reason)
-                        .remedy("delete it, or name another file")
+                        .remedy("delete the file, or name another")
                         .choose(Choice::ResultsFile));
                 }
             }
-            // Write now, so that an error is reported before the work.
+            // Writes now, so that an error is reported before the work.
             write(path, &checkpoint)?;
         }
         let display = if std::io::stderr().is_terminal() { Display::InPlace } else { Display::Never };
@@ -123,7 +123,7 @@ impl Sweep {
     /// Prints progress lines if standard error is not a terminal.
     #[must_use]
     pub fn in_lines(mut self) -> Self {
-        if self.display == Display::Never && std::env::var_os(QUIET).is_none() {
+        if self.display == Display::Never && std::env::var_os(QUIET_VARIABLE).is_none() {
             self.display = Display::Lines;
         }
         self
@@ -135,7 +135,7 @@ impl Sweep {
     }
 
     /// Displays the name of a stage while work runs that is not divided into items.
-    pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
+    pub fn run_stage<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
         match self.display {
             Display::InPlace => haptic_host::error::overwrite_line(format_args!("{stage}"), false),
             Display::Lines => haptic_host::error::say(format_args!("{stage}\n")),
@@ -170,7 +170,7 @@ impl Sweep {
         }
     }
 
-    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first that fails.
+    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first failed item.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
@@ -222,7 +222,7 @@ impl Sweep {
     /// Removes the stored results; call it after printing the final result.
     pub fn finish(self) {
         if let Some(file) = self.file {
-            // Ignore the error because the file may already be removed.
+            // Ignores the error because the file may already be removed.
             let _ = std::fs::remove_file(file);
         }
     }
@@ -246,7 +246,7 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // Reject types that do not read back equal, because a resumed run would use other values.
+        // Rejects types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
@@ -258,7 +258,7 @@ impl Sweep {
         state.checkpoint.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
-            // Ignore a write error here; it is reported when the work is interrupted.
+            // Ignores a write error, which is reported when the work is interrupted.
             let _ = write(file, &state.checkpoint);
             state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * MIN_PAUSE_FACTOR);
         }

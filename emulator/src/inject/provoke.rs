@@ -68,7 +68,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         let backup = Backup::read(&mut rig.tool).expect("the board replies");
         let is_kept = |key: Key| backup.settings.contains_key(key.name());
         assert!(is_kept(Key::Device) && !is_kept(Key::Name), "{:?}", backup.settings.keys());
-        assert!(backup.ready().is_ok(), "the remaining settings can be restored");
+        assert!(backup.prepared_settings().is_ok(), "the remaining settings can be restored");
     }
     let listed = rig.tool.faults().expect("the board replies");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");

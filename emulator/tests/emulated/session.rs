@@ -44,7 +44,7 @@ fn unsaved_changes_are_lost_in_a_reset() {
 fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");
-    let points = precompute::most_points(&device);
+    let points = precompute::max_grid_points(&device);
     let table = precompute::table(&device, Interpolation::Bicubic, [points; 2], [[0.0; 2], [1.0; 2]]);
     let table = table.expect("a table that fits");
     assert_eq!(table.values.len(), 600);
@@ -63,7 +63,7 @@ fn a_restored_backup_of_three_joints_leaves_stack_free() {
     send_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
     let backup = Backup::read(&mut rig.tool).expect("the board replies");
-    let ready = backup.ready().expect("everything is readable");
+    let ready = backup.prepared_settings().expect("everything is readable");
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
     let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);

@@ -1,6 +1,6 @@
 //! A board on an open wire, with one method for every endpoint of the protocol.
 
-use super::client::{Client, HEARTBEAT, Patience, SentRequest};
+use super::client::{Client, HEARTBEAT_INTERVAL, Patience, SentRequest};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
@@ -32,7 +32,7 @@ const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
 /// be on.
 const STOP_REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of consecutive unreadable batches after which a stream ends with an error; fewer may be corrupted frames.
-const MAX_UNREADABLE: u32 = 50;
+const MAX_UNREADABLE_BATCHES: u32 = 50;
 /// Default wait for the reply to a force, longer than the lease that [`super::Session`] gives the force.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 
@@ -59,7 +59,7 @@ impl PolarityOutcome {
 }
 
 /// A board whose motors [`Board::stop`] has turned off.
-pub enum Stopped {
+pub enum StopOutcome {
     /// The open board.
     Open(Box<Board>),
     /// A board with this other protocol version, which accepts no further requests.
@@ -98,16 +98,16 @@ impl Board {
 
     /// Opens the board on an open wire and turns its motors off with the first request, in any version of the protocol.
     /// A server carries out this request even while another tool holds the board.
-    pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
+    pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<StopOutcome, BoardError> {
         let (mut client, port) = (Self::connect(wire)?, port.into());
         match client.call::<p::Disarm>(&(), STOP_REPLY) {
             Err(_) if client.is_occupied() => return Err(LinkError::HeldByAnother(port).into()),
             outcome => outcome??,
         }
         Ok(match Self::handshake(client, port) {
-            Ok(board) => Stopped::Open(Box::new(board)),
-            Err(LinkError::Version { board, .. }) => Stopped::OtherProtocol(board),
-            Err(_) => Stopped::Held,
+            Ok(board) => StopOutcome::Open(Box::new(board)),
+            Err(LinkError::Version { board, .. }) => StopOutcome::OtherProtocol(board),
+            Err(_) => StopOutcome::Held,
         })
     }
 
@@ -379,7 +379,7 @@ impl Board {
         // A random number distinguishes this stream from a stream of an earlier tool.
         let stream = self.client.draw();
         self.rows = Rows::of(stream, fields, divider);
-        self.garbled_before = self.client.garbled();
+        self.garbled_before = self.client.garbled_sequences();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
 
@@ -395,13 +395,13 @@ impl Board {
         loop {
             self.heartbeat_if_due()?;
             let left = deadline.saturating_sub(self.client.now());
-            let wait = if rows.is_empty() { left.min(HEARTBEAT) } else { Duration::ZERO };
+            let wait = if rows.is_empty() { left.min(HEARTBEAT_INTERVAL) } else { Duration::ZERO };
             match self.client.topic(wait)? {
                 Some(frame) => {
                     if let Some(batch) = frame.message::<p::Telemetry>() {
                         match batch {
                             Ok(batch) => self.rows.take(&batch, &mut rows),
-                            Err(error) if self.rows.count_corrupted() > MAX_UNREADABLE => return Err(error),
+                            Err(error) if self.rows.count_corrupted() > MAX_UNREADABLE_BATCHES => return Err(error),
                             Err(_) => {}
                         }
                     } else if let Some(record) = frame.message::<p::FaultSeen>() {
@@ -418,11 +418,12 @@ impl Board {
     /// Returns the losses of the stream so far.
     pub fn losses(&self) -> Losses {
         let losses = self.rows.losses();
-        Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
+        Losses { garbled: losses.garbled + self.client.garbled_sequences() - self.garbled_before, ..losses }
     }
     fn heartbeat_if_due(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
-        if self.client.sends_heartbeats && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT)
+        if self.client.sends_heartbeats
+            && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT_INTERVAL)
         {
             self.heartbeat(p::Beat::Here)?;
         }
@@ -431,7 +432,7 @@ impl Board {
 
     fn heartbeat(&mut self, beat: p::Beat) -> Result<(), LinkError> {
         self.last_heartbeat = Some(self.now());
-        self.step = self.call::<p::Heartbeat>(&beat, (HEARTBEAT, REPLY.1))?;
+        self.step = self.call::<p::Heartbeat>(&beat, (HEARTBEAT_INTERVAL, REPLY.1))?;
         Ok(())
     }
 }

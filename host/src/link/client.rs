@@ -37,7 +37,7 @@ pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
     /// Sequence numbers and reply keys of the pending requests.
-    pending: VecDeque<(VarSeq, VarKey)>,
+    pending_requests: VecDeque<(VarSeq, VarKey)>,
     replies: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
@@ -47,15 +47,15 @@ pub struct Client {
     /// Number of retries in the last [`Client::call`]. The board may have carried out an earlier copy of the request.
     pub(super) repeats: u32,
     /// Buffers of earlier replies, reused so that an exchange of forces allocates no memory.
-    spare: Vec<Vec<u8>>,
+    spare_buffers: Vec<Vec<u8>>,
 }
 
 /// Retry interval of a request, and longest wait for its reply.
 pub type Patience = (Duration, Duration);
 /// Interval between heartbeats, if they are enabled.
-pub(super) const HEARTBEAT: Duration = Duration::from_millis(50);
+pub(super) const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of retries after rejected or unreadable replies, which corrupted frames may cause.
-const MAX_UNREADABLE: u32 = 3;
+const MAX_UNREADABLE_REPLIES: u32 = 3;
 
 /// Decodes a message from all of `body`. Rejects a body with further bytes, because it was corrupted.
 fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
@@ -66,10 +66,10 @@ fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M,
 }
 
 /// Length of the longest encoded frame, bytes.
-const MAX_ENCODED: usize = max_wire_length(MAX_FRAME);
+const MAX_ENCODED_BYTES: usize = max_wire_length(MAX_FRAME);
 
 /// Maximum number of pending requests. A further request replaces the oldest.
-const MAX_PENDING: usize = 8;
+const MAX_PENDING_REQUESTS: usize = 8;
 
 /// Handle of a request that was sent, for [`Client::reply`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,12 +77,12 @@ pub struct SentRequest(VarSeq);
 
 /// Body of the reply to a carried-out disarm request, in every version of the protocol. The key of the reply depends on
 /// the version.
-const DISARMED: &[u8] = &[0];
+const DISARMED_BODY: &[u8] = &[0];
 
 /// The message with which the server of a simulated board refuses a second tool.
-pub struct Occupied;
+pub struct OccupiedTopic;
 
-impl Topic for Occupied {
+impl Topic for OccupiedTopic {
     type Message = ();
     const PATH: &'static str = "haptic/occupied";
     const TOPIC_KEY: Key = Key::for_path::<()>(Self::PATH);
@@ -96,13 +96,13 @@ impl Client {
             sequence: wire.draw() as u16,
             wire,
             deframer: Deframer::default(),
-            pending: VecDeque::new(),
+            pending_requests: VecDeque::new(),
             replies: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
             sends_heartbeats: false,
             repeats: 0,
-            spare: Vec::new(),
+            spare_buffers: Vec::new(),
         }
     }
 
@@ -119,7 +119,7 @@ impl Client {
         self.wire.draw()
     }
     /// Returns the number of byte sequences between delimiters that were not valid frames.
-    pub fn garbled(&self) -> u64 {
+    pub fn garbled_sequences(&self) -> u64 {
         self.deframer.garbled
     }
     /// Sends a delimiter, which ends a partial frame that an earlier tool may have sent.
@@ -128,7 +128,7 @@ impl Client {
     }
     /// Returns true if the server has reported that another tool is connected.
     pub fn is_occupied(&self) -> bool {
-        self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
+        self.topics.iter().any(|topic| topic.key == VarKey::Key8(OccupiedTopic::TOPIC_KEY))
     }
     /// Sends a request of endpoint `E` and waits for its reply. Because frames may be corrupted, sends the request
     /// again with the same number after the retry interval or half of the time waited, whichever is longer. Keeps the
@@ -145,8 +145,9 @@ impl Client {
         let reply = loop {
             let before = self.now();
             let due = end.min(last_sent + retry_interval.max((before - began) / 2));
-            match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT)) {
-                Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < MAX_UNREADABLE => {}
+            match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT_INTERVAL)) {
+                Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. })
+                    if self.repeats < MAX_UNREADABLE_REPLIES => {}
                 Err(LinkError::Silent { .. }) if self.now() < end => {
                     if self.sends_heartbeats {
                         let beat = self.send::<Heartbeat>(&Beat::Here)?;
@@ -178,11 +179,11 @@ impl Client {
     fn send_frame<E: Endpoint<Request: Serialize>>(
         &mut self,
         request: &E::Request,
-    ) -> Result<(SentRequest, [u8; MAX_ENCODED], usize), LinkError> {
+    ) -> Result<(SentRequest, [u8; MAX_ENCODED_BYTES], usize), LinkError> {
         self.sequence = self.sequence.wrapping_add(1);
         let sent = SentRequest(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
-        let mut frame = [0; MAX_ENCODED];
+        let mut frame = [0; MAX_ENCODED_BYTES];
         let write = |frame: &mut [u8]| {
             let (head, rest) = VarHeader { key, seq_no: sent.0 }.write_to_slice(frame.get_mut(1..)?)?;
             let length = head.len() + postcard::to_slice(request, rest).ok()?.len();
@@ -190,9 +191,9 @@ impl Client {
         };
         let count = write(&mut frame).ok_or(LinkError::Unreadable { what: E::PATH })?;
         self.wire.send(&frame[..count]).map_err(LinkError::Lost)?;
-        self.pending.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
-        if self.pending.len() > MAX_PENDING {
-            let given_up = self.pending.pop_front();
+        self.pending_requests.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
+        if self.pending_requests.len() > MAX_PENDING_REQUESTS {
+            let given_up = self.pending_requests.pop_front();
             self.replies.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
         }
         Ok((sent, frame, count))
@@ -210,7 +211,7 @@ impl Client {
     }
 
     fn forget(&mut self, sent: SentRequest) {
-        self.pending.retain(|(number, _)| *number != sent.0);
+        self.pending_requests.retain(|(number, _)| *number != sent.0);
         self.replies.retain(|frame| frame.header.seq_no != sent.0);
     }
     fn read<E: Endpoint<Response: DeserializeOwned>>(
@@ -219,21 +220,21 @@ impl Client {
         timeout: Duration,
     ) -> Result<E::Response, LinkError> {
         let Packet { header, body } = self.wait_for_reply(sent, E::PATH, timeout)?;
-        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == DISARMED;
+        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == DISARMED_BODY;
         let reply = if header.key == VarKey::Key8(E::RESP_KEY) || stopped {
             decode_all(&body, E::PATH)
         } else {
             decode_all::<WireError>(&body, E::PATH)
                 .and_then(|error| Err(LinkError::Rejected { what: E::PATH, error: error.to_string() }))
         };
-        if self.spare.len() < MAX_PENDING {
-            self.spare.push(body);
+        if self.spare_buffers.len() < MAX_PENDING_REQUESTS {
+            self.spare_buffers.push(body);
         }
         reply
     }
 
     fn index_of(&self, number: VarSeq) -> Option<usize> {
-        self.pending.iter().position(|(other, _)| *other == number)
+        self.pending_requests.iter().position(|(other, _)| *other == number)
     }
     /// Waits for the reply to a request, or the error in its place.
     fn wait_for_reply(
@@ -278,15 +279,15 @@ impl Client {
     /// topics, except replies to heartbeats that were sent during a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
-        let (pending, waiting, topics) = (&self.pending, &mut self.replies, &mut self.topics);
-        let (spare, mut headless) = (&mut self.spare, 0);
+        let (pending, waiting, topics) = (&self.pending_requests, &mut self.replies, &mut self.topics);
+        let (spare, mut headless) = (&mut self.spare_buffers, 0);
         self.deframer.feed_plain(&self.buffer[..count], |plain| {
             let Some((header, remaining)) = VarHeader::take_from_slice(plain) else {
                 headless += 1;
                 return;
             };
             let VarHeader { key, seq_no } = header;
-            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && remaining == DISARMED;
+            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && remaining == DISARMED_BODY;
             let is_reply = |to: &(VarSeq, VarKey)| {
                 to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY) || stopped(to.1))
             };

@@ -21,11 +21,11 @@ pub fn encode(header: &VarHeader, body: &[u8]) -> Vec<u8> {
     let mut plain = Vec::with_capacity(used + body.len());
     plain.extend_from_slice(&head[..used]);
     plain.extend_from_slice(body);
-    envelope(&plain)
+    encode_plain(&plain)
 }
 
 /// Encodes a frame that already has its header.
-pub fn envelope(plain: &[u8]) -> Vec<u8> {
+pub fn encode_plain(plain: &[u8]) -> Vec<u8> {
     let mut bytes = cobs::encode_vec(plain);
     bytes.push(0);
     bytes
@@ -35,7 +35,7 @@ pub fn envelope(plain: &[u8]) -> Vec<u8> {
 #[derive(Clone, Debug, Default)]
 pub struct Deframer {
     partial: Vec<u8>,
-    overlong: bool,
+    is_overlong: bool,
     /// Number of byte sequences between zeros that were not frames.
     pub garbled: u64,
 }
@@ -59,13 +59,13 @@ impl Deframer {
                 _ => (piece, false),
             };
             if self.partial.len() + content.len() >= max_wire_length(MAX_FRAME) {
-                self.overlong = true;
+                self.is_overlong = true;
                 self.partial.clear();
-            } else if !self.overlong {
+            } else if !self.is_overlong {
                 self.partial.extend_from_slice(content);
             }
             if ended {
-                if self.overlong {
+                if self.is_overlong {
                     self.garbled += 1;
                 } else if !self.partial.is_empty() {
                     match cobs::decode_in_place(&mut self.partial) {
@@ -73,7 +73,7 @@ impl Deframer {
                         Err(_) => self.garbled += 1,
                     }
                 }
-                self.overlong = false;
+                self.is_overlong = false;
                 self.partial.clear();
             }
         }
@@ -123,7 +123,7 @@ mod tests {
     fn the_longest_frame_fits_with_its_cobs_overhead() {
         let (mut deframer, mut lengths) = (Deframer::default(), Vec::new());
         for length in [MAX_FRAME, MAX_FRAME + 9] {
-            deframer.feed_plain(&envelope(&vec![1; length]), |plain| lengths.push(plain.len()));
+            deframer.feed_plain(&encode_plain(&vec![1; length]), |plain| lengths.push(plain.len()));
         }
         assert_eq!((lengths, deframer.garbled), (vec![MAX_FRAME], 1));
     }

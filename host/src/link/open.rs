@@ -1,6 +1,6 @@
 //! Opens the board that `--port` names, except a simulated board in this process, which `haptic-sim` opens.
 
-use super::board::{Board, Stopped};
+use super::board::{Board, StopOutcome};
 use super::error::{BoardError, LinkError};
 use super::ports::{PortSpec, open_serial, open_tcp};
 use super::wire::Wire;
@@ -14,7 +14,7 @@ impl Board {
     }
     /// Turns the motors of the board at `port` off, in any version of the protocol. Fails if another tool holds the
     /// port itself; then use [`super::disarm_held_board`].
-    pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
+    pub fn stop(port: &PortSpec) -> Result<StopOutcome, BoardError> {
         let (wire, name) = wire(port)?;
         Self::stop_over(wire, name)
     }

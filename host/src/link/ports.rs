@@ -62,14 +62,14 @@ pub struct BoardPort {
 
 /// Returns the connected boards, and the paths of the other serial ports.
 pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
-    separate_boards(serial_ports(Path::new(PORTS)))
+    separate_boards(serial_ports(Path::new(SERIAL_PORT_FOLDER)))
 }
 
 /// The directory in which Linux lists its serial ports.
-const PORTS: &str = "/sys/class/tty";
+const SERIAL_PORT_FOLDER: &str = "/sys/class/tty";
 
 /// Returns the serial ports, or none if the system cannot list them. Checks first that the directory `place` exists,
-/// because without it the listing panics, as in a container that has no /sys.
+/// because the listing panics without it, as in a container without /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
         return Vec::new();

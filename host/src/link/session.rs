@@ -35,8 +35,8 @@ pub struct Session {
     board: Board,
     sequence: u32,
     /// Step of the latest state that was received.
-    seen: Option<u32>,
-    /// The fault that had turned the motors off at the step `seen`.
+    latest_step: Option<u32>,
+    /// The fault that had turned the motors off at `latest_step`.
     fault: Option<FaultRecord>,
     patience: Duration,
     /// Times for which a request acts in full and then fades, s; at most 0.2 each.
@@ -50,7 +50,7 @@ impl Session {
     }
     /// Creates a session with an open board.
     pub fn of(board: Board) -> Self {
-        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD_S, FADE_S) }
+        Self { board, sequence: 0, latest_step: None, fault: None, patience: PATIENCE, lease: (HOLD_S, FADE_S) }
     }
     /// Turns the motors on and enables heartbeats while this session waits for telemetry. Forces and state requests act
     /// as heartbeats too.
@@ -96,13 +96,13 @@ impl Session {
         let began = self.board.now();
         let reply = loop {
             self.sequence = self.sequence.wrapping_add(1);
-            match self.board.force(&ForceRequest { sequence: self.sequence, seen: self.seen, ..request }) {
+            match self.board.force(&ForceRequest { sequence: self.sequence, seen: self.latest_step, ..request }) {
                 Err(LinkError::Unanswered { .. }) if self.board.now() - began < self.patience => {}
                 Err(LinkError::Unanswered { .. }) => return Err(LinkError::Unanswered { waited: self.patience }),
                 reply => break reply?,
             }
         };
-        if self.seen.replace(reply.step).is_none() && request.hold + request.fade == 0.0 {
+        if self.latest_step.replace(reply.step).is_none() && request.hold + request.fade == 0.0 {
             // A state request counts as a heartbeat only after an earlier state request.
             return self.exchange(request);
         }

@@ -133,25 +133,25 @@ pub(super) struct Rows {
     divider: u32,
     losses: Losses,
     /// Expected first step and number of the next batch.
-    next: Option<(u32, u32)>,
+    next_batch: Option<(u32, u32)>,
     /// Number of corrupted batches since the last valid batch.
-    corrupted: u32,
+    corrupted_batches: u32,
 }
 
 /// Number of consecutive rejected batches after which the next batch is accepted, because the batch before the rejected
 /// batches was corrupted.
-const ACCEPT_AFTER: u32 = 3;
+const ACCEPT_AFTER_BATCHES: u32 = 3;
 
 impl Rows {
     /// Creates the unpacker of a stream of `fields` at every `divider`-th step.
     pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
-        Self { stream, fields, divider, losses: Losses::default(), next: None, corrupted: 0 }
+        Self { stream, fields, divider, losses: Losses::default(), next_batch: None, corrupted_batches: 0 }
     }
     /// Counts a corrupted batch and returns the number of consecutive corrupted batches.
     pub(super) fn count_corrupted(&mut self) -> u32 {
         self.losses.garbled += 1;
-        self.corrupted += 1;
-        self.corrupted
+        self.corrupted_batches += 1;
+        self.corrupted_batches
     }
 
     pub(super) fn losses(&self) -> Losses {
@@ -168,12 +168,12 @@ impl Rows {
             return;
         }
         let mut fits = batch.rows.len().is_multiple_of(width);
-        if let Some((step, number)) = self.next {
+        if let Some((step, number)) = self.next_batch {
             let behind = batch.first_step.wrapping_sub(step);
             let ahead = u64::from(behind / batch.divider);
             let lost = u64::from(batch.number.wrapping_sub(number));
             let most = u64::from(batch.dropped) + lost * (BATCH_BYTES / width) as u64;
-            let restarted = batch.number == 0 || self.corrupted >= ACCEPT_AFTER;
+            let restarted = batch.number == 0 || self.corrupted_batches >= ACCEPT_AFTER_BATCHES;
             fits &= restarted || (behind.is_multiple_of(batch.divider) && (lost..=most).contains(&ahead));
             // If the step counter went back, the board has restarted, and the losses in between are unknown.
             if fits && behind < u32::MAX / 2 {
@@ -184,8 +184,8 @@ impl Rows {
             self.count_corrupted();
             return;
         }
-        self.corrupted = 0;
-        let number = self.next.map_or(0, |(_, number)| number);
+        self.corrupted_batches = 0;
+        let number = self.next_batch.map_or(0, |(_, number)| number);
         self.losses.batches_lost += u64::from(batch.number.saturating_sub(number));
         self.losses.dropped_by_board = u64::from(batch.dropped);
         let mut step = batch.first_step;
@@ -195,7 +195,7 @@ impl Rows {
             self.losses.received += 1;
             step = step.wrapping_add(batch.divider);
         }
-        self.next = Some((step, batch.number.wrapping_add(1)));
+        self.next_batch = Some((step, batch.number.wrapping_add(1)));
     }
 }
 

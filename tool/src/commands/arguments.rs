@@ -187,7 +187,7 @@ pub fn load_device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<War
     let file = DeviceFile::read(&document)?;
     let mut warnings = plausible::device::file_warnings(&file);
     warnings.retain(|warning| for_a_loop || warning.key.is_none_or(|key| key.name != "transmission"));
-    let warnings = warnings.into_iter().map(|warning| warning.about(&document)).collect();
+    let warnings = warnings.into_iter().map(|warning| warning.locate_in(&document)).collect();
     Ok((file, warnings))
 }
 

@@ -7,7 +7,7 @@ use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_predict::bench::error::ErrorSources;
-use haptic_predict::bench::report::{Variant, by_mechanism, by_variant, devices, variants};
+use haptic_predict::bench::report::{Variant, devices, mechanism_table, variant_table, variants};
 use haptic_show::plot::speed;
 use serde_json::json;
 use std::path::PathBuf;
@@ -59,7 +59,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .collect::<Result<Vec<_>, Failure>>()?;
     if let (Some(folder), Some([table, variants, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::write_failure(folder, &error))?;
-        let (mechanisms, each, picture) = (by_mechanism(&every)?, by_variant(&every), speed::draw(&every));
+        let (mechanisms, each, picture) = (mechanism_table(&every)?, variant_table(&every), speed::draw(&every));
         let all = [
             (table.as_path(), mechanisms.as_bytes()),
             (variants.as_path(), each.as_bytes()),

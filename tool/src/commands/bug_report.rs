@@ -5,7 +5,7 @@ use super::port::{OnBoard, fault_without_remedy, state_in_words};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_host::digits::shortest;
+use haptic_host::digits::shorten_all;
 use haptic_host::error::{Failure, on_one_line, visible};
 use haptic_host::link::{Board, BoardError, Row};
 use haptic_host::output;
@@ -218,6 +218,6 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
     part("Device", board.device()?.map(|device| unnamed(to_toml(&[], &device_entries(&device)))));
     part("Scene", board.scene()?.map(|loaded| to_toml(&[], &scene(&loaded))));
     let rules = serde_json::to_value(board.rules()?).map_err(Failure::impossible)?;
-    part("Rules", Some(shortest(rules).to_string()));
+    part("Rules", Some(shorten_all(rules).to_string()));
     Ok(page)
 }

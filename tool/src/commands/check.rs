@@ -82,7 +82,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();
     let mut warnings: Vec<Warning> =
-        device::file_warnings(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
+        device::file_warnings(&file).into_iter().map(|doubt| doubt.locate_in(&document)).collect();
     let mut scenes = Vec::new();
     for path in &args.scenes {
         let (scene, scene_warnings) = scene_report(path, &file)?;
@@ -137,7 +137,7 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
         plan,
         planned,
     };
-    Ok((report, warnings.into_iter().map(|warning| warning.about(&document)).collect()))
+    Ok((report, warnings.into_iter().map(|warning| warning.locate_in(&document)).collect()))
 }
 
 fn plan_as_json(plan: &Plan) -> Value {

@@ -9,8 +9,8 @@ use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic_predict::design::{Stiffest, singular_pose};
-use haptic_predict::plausible::{Warned, warn};
+use haptic_predict::design::{StiffestWalls, singular_pose};
+use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_show::plot::coupling::draw;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::estimator::LinearEstimator;
@@ -121,7 +121,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular_pose)?;
+    let (w_eff, w_rr) = haptic_stability::analysis::map::effective_inertias(&pose, &unit).ok_or_else(singular_pose)?;
     let mut here = WallPlace {
         q: q.clone(),
         position: pose.position.clone(),
@@ -163,7 +163,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }
-    let result = Warned { result: &document, warnings: &warnings };
+    let result = WithWarnings { result: &document, warnings: &warnings };
     args.json.answer(result, &readable(&document, requested.is_some(), &args))?;
     sweep.finish();
     Ok(())
@@ -190,7 +190,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
         line("  felt: at the tip, behind the transmissions".into());
     }
     let wall = |name: &str, at: &WallPlace| {
-        let stiffest = |pick: fn(&Stiffest) -> BoundaryPoint| {
+        let stiffest = |pick: fn(&StiffestWalls) -> BoundaryPoint| {
             let point = at.walls.as_ref().map(pick);
             let felt = point.and_then(|point| point.felt).map_or(String::new(), |felt| format!("{felt:>11.0}"));
             format!("{:>11.0}{felt}", point.map_or(f64::NAN, |point| point.kp))

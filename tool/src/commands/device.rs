@@ -54,7 +54,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-    let warnings: Vec<_> = file_warnings(&file).into_iter().map(|warning| warning.about(&document)).collect();
+    let warnings: Vec<_> = file_warnings(&file).into_iter().map(|warning| warning.locate_in(&document)).collect();
     warn(&warnings);
     let mut board = args.on.open()?;
     let details = board.details()?;

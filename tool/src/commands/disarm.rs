@@ -3,7 +3,7 @@
 use super::answer::Json;
 use super::port::{OnBoard, fault_in_words};
 use haptic_host::error::Failure;
-use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, disarm_held_board};
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, StopOutcome, disarm_held_board};
 use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
@@ -20,13 +20,13 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let port = args.on.spec();
     let mut board = match Board::stop(port) {
-        Ok(Stopped::Open(board)) => board,
-        Ok(Stopped::OtherProtocol(version)) => {
+        Ok(StopOutcome::Open(board)) => board,
+        Ok(StopOutcome::OtherProtocol(version)) => {
             let words = format!("disarmed: the motors are off; the board uses protocol version {version}\n");
             return args.on.answer(json!({ "state": "Disarmed" }), &words);
         }
         // Tries to open the board for a complete report, because the other tool may have closed the port meanwhile.
-        Ok(Stopped::Held) => match haptic_sim::open(port) {
+        Ok(StopOutcome::Held) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
             Err(_) => return report_disarmed(args.on.json),
         },

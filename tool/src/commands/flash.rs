@@ -4,7 +4,8 @@ use super::answer::Json;
 use super::port::{MOTORS_GO_OFF, Port, confirm};
 use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_flash::{
-    Bus, FlashSummary, FlashTarget, Image, Phase, Progress, WITHOUT_IMAGES, embedded, find_board, flash, parse, probe,
+    Bus, FlashSummary, FlashTarget, Image, Phase, Progress, WITHOUT_IMAGES, embedded_images, find_board, flash, parse,
+    probe,
 };
 use haptic_host::error::{Choice, Failure, on_one_line, overwrite_line, say};
 use haptic_host::link::{PortSpec, boards};
@@ -40,7 +41,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let serial = requested_serial(args.port.spec())?;
     let file = args.file.as_deref().map(read_image).transpose()?;
-    if file.is_none() && embedded().is_empty() {
+    if file.is_none() && embedded_images().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
     }
     if let Some(board) = &args.board {
@@ -49,7 +50,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.probe {
         return flash_by_probe(&args, &file);
     }
-    let target = find_board(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
+    let target = find_board(&mut Bus::of_this_computer(), serial.as_deref()).map_err(Failure::impossible)?;
     let image = match &target {
         FlashTarget::Running(board) => {
             haptic_host::tell!(
@@ -72,7 +73,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     haptic_host::tell!("flashing {}", describe_image(&image));
-    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show_progress(progress));
+    let done = flash(&mut Bus::of_this_computer(), &target, image, &mut |progress| show_progress(progress));
     let FlashSummary { identity, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
         "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
@@ -101,7 +102,7 @@ fn image_for_board(file: &Option<Image>, board: &str) -> Result<Image, Failure> 
     if let Some(image) = file {
         return Ok(image.clone());
     }
-    let Some(embedded_image) = embedded().iter().find(|image| image.board == board) else {
+    let Some(embedded_image) = embedded_images().iter().find(|image| image.board == board) else {
         let reason = format!("this tool has no image for {}", on_one_line(board));
         return Err(Failure::wrong(reason)
             .remedy(format!("give one of {}, or an update file with --file", boards_with_images().join(", "))));
@@ -118,7 +119,7 @@ fn image_for_board(file: &Option<Image>, board: &str) -> Result<Image, Failure> 
 }
 
 fn boards_with_images() -> Vec<&'static str> {
-    embedded().iter().map(|image| image.board).collect()
+    embedded_images().iter().map(|image| image.board).collect()
 }
 
 fn describe_image(image: &Image) -> String {
@@ -144,7 +145,7 @@ fn requested_serial(port: &PortSpec) -> Result<Option<String>, Failure> {
 
 /// Asks before a restart that turns motors off or loses unsaved settings.
 fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
-    match haptic_flash::motors_and_unsaved(serial)? {
+    match haptic_flash::motors_on_and_unsaved_settings(serial)? {
         None => confirm(yes, "the board restarts, and its motors go off if they are on"),
         Some((drives, unsaved)) => {
             let mut loses = Vec::new();

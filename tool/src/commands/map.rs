@@ -4,7 +4,7 @@ use super::answer::{Json, Pictures};
 use super::arguments::{self, HoldingArgs, Numbers};
 use super::continued::Continue;
 use haptic_host::error::Failure;
-use haptic_predict::plausible::{Warned, warn};
+use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_show::plot::map::draw;
 use haptic_stability::analysis::map::{MapPoint, map_swept};
 use std::fmt::Write;
@@ -59,7 +59,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     let words = readable(&file.name, &points);
-    args.json.answer(Warned { result: &Document { points }, warnings: &warnings }, &words)?;
+    args.json.answer(WithWarnings { result: &Document { points }, warnings: &warnings }, &words)?;
     sweep.finish();
     Ok(())
 }

@@ -22,7 +22,7 @@ use haptic_predict::measure::board_measurement::{self, BoardMeasurement};
 use haptic_predict::measure::campaign::{BOTH_SIDES, Plan};
 use haptic_predict::measure::progress::{Progress, ProgressError};
 use haptic_predict::measure::simulated::{Friction, World};
-use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
+use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, max_tested_walls};
 use haptic_stability::analysis::several::{Member, WallSet};
 use meter::ProgressMeter;
 use report::{Report, Theory};
@@ -279,7 +279,7 @@ fn requested_plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
 }
 
 fn requested_walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
-    let (count, most) = (args.walls.count(), most_tested(task));
+    let (count, most) = (args.walls.count(), max_tested_walls(task));
     if count > most {
         let reason = format!("{count} walls are too many: more than {most} hold the tip in place");
         return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));

@@ -6,7 +6,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
-use haptic_predict::plausible::{Warned, warn};
+use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_stability::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use std::fmt::Write;
 
@@ -64,7 +64,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let (precision, admissible) = (args.precision, args.holding.admissible.name());
         let precision = Precision::ALL.iter().find(|(_, other)| *other == precision).map_or("", |(name, _)| name);
         let result = &Document { q, qd, normals, forces, precision, admissible, report: &report };
-        return print_json(Warned { result, warnings: &warnings });
+        return print_json(WithWarnings { result, warnings: &warnings });
     }
     let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);

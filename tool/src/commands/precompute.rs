@@ -11,7 +11,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::output;
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
-use haptic_predict::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use haptic_predict::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
 use haptic_predict::bench::probe::{Probe, workspace};
 use std::path::PathBuf;
 
@@ -72,10 +72,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         None => range(&device, &probes),
     };
-    let points = args.points.unwrap_or(most_points(&device));
+    let points = args.points.unwrap_or(max_grid_points(&device));
     let entries = device.mechanism.mass_entries().len();
     let precomputed = match args.kind {
-        Kind::Frozen => frozen(&device, &probes),
+        Kind::Frozen => frozen_model(&device, &probes),
         Kind::Bilinear | Kind::Bicubic => {
             let cubic = args.kind == Kind::Bicubic;
             let interpolation = if cubic { Interpolation::Bicubic } else { Interpolation::Bilinear };
@@ -86,7 +86,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                      table needs {} points a side",
                     if cubic { 4 } else { 2 }
                 ))
-                .remedy(format!("use --points {}", most_points(&device)))
+                .remedy(format!("use --points {}", max_grid_points(&device)))
             })?
         }
     };
@@ -114,7 +114,7 @@ fn is_inside(device: &Device<f64>, probe: &Probe, box_: [[f64; 2]; 2]) -> bool {
 
 fn readable(
     device: &Device<f64>,
-    precomputed: &Precomputed,
+    precomputed: &PrecomputedModel,
     errors: &haptic_predict::bench::error::Errors,
     situations: usize,
 ) -> String {

@@ -13,7 +13,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_predict::boards::BoardKind;
-use haptic_predict::plausible::{FileWarning, Warned, warn};
+use haptic_predict::plausible::{FileWarning, WithWarnings, warn};
 use haptic_show::plot::range::{Contents, draw};
 use haptic_stability::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath, usual_delay};
 use haptic_stability::analysis::flexible::{Hand, Posture};
@@ -25,7 +25,7 @@ use haptic_stability::analysis::prediction::{Prediction, Subject, Walls};
 use haptic_stability::analysis::range::Range;
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
 use haptic_stability::analysis::several::Member;
-use haptic_stability::analysis::why::{Why, why};
+use haptic_stability::analysis::why::{EffectShares, explain_boundary};
 use haptic_stability::sweep::Sweep;
 use ripple::{EncoderRipple, simulate_ripple};
 use words::{costly_warnings, describe_why, readable, subtitle};
@@ -230,7 +230,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let requested_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
     let range = analyse(requested_kd, args.washout)?;
     let costs = costly_warnings(&range, args.washout, |corner| analyse(requested_kd, Some(corner)))?;
-    warnings.extend(costs.into_iter().map(|text| FileWarning { key: None, text }.typed()));
+    warnings.extend(costs.into_iter().map(|text| FileWarning { key: None, text }.for_command_line()));
     warn(&warnings);
     let requested = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.holding.admissible);
@@ -266,7 +266,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let request = Request::of(&args, &prediction, &q, &members);
         let passive = passivity.as_ref().map(PassiveBounds::of);
         let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
-        print_json(Warned { result: &result, warnings: &warnings })?;
+        print_json(WithWarnings { result: &result, warnings: &warnings })?;
     } else {
         print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
         why.map_or(Ok(()), |why| print(&describe_why(&why)))?;
@@ -286,7 +286,7 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     passive: Option<PassiveBounds>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    why: Option<&'a Why>,
+    why: Option<&'a EffectShares>,
     #[serde(skip_serializing_if = "Option::is_none")]
     ripple: Option<&'a EncoderRipple>,
 }
@@ -305,7 +305,11 @@ struct PassiveBounds {
 
 impl PassiveBounds {
     fn of(passivity: &Passivity) -> Self {
-        Self { kp: passivity.sampled(0.0), kd: passivity.largest_damping(), kp_quantised: passivity.quantised() }
+        Self {
+            kp: passivity.largest_stiffness(0.0),
+            kd: passivity.largest_damping(),
+            kp_quantised: passivity.largest_undamped_stiffness(),
+        }
     }
 }
 
@@ -354,12 +358,17 @@ impl Request {
 }
 
 /// Computes the effect of each part of the loop on the boundary of one wall; several walls are an error.
-fn limiting_effects(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+fn limiting_effects(
+    prediction: &Prediction,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    sweep: &Sweep,
+) -> Result<EffectShares, Failure> {
     let [normal] = normals else {
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
-    why(&prediction.linearise(q, normal)?, &prediction.around, sweep)
+    explain_boundary(&prediction.linearise(q, normal)?, &prediction.around, sweep)
 }
 
 fn requested_estimator(args: &Args) -> Result<LinearEstimator, Failure> {
@@ -369,7 +378,7 @@ fn requested_estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     })?;
     match over {
         1 => Ok(alone),
-        _ if alone.takes_difference() => Ok(alone.over(over)),
+        _ if alone.takes_difference() => Ok(alone.with_window(over)),
         _ => {
             let reason = format!("--difference-over {over} does not apply to an estimator without a difference");
             Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))

@@ -275,7 +275,7 @@ impl Section {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
         let mut command = Command::new(tool);
-        command.args(&self.words).stdin(Stdio::null()).env(haptic_stability::sweep::QUIET, "1");
+        command.args(&self.words).stdin(Stdio::null()).env(haptic_stability::sweep::QUIET_VARIABLE, "1");
         if let Some(picture) = &picture {
             command.arg("--svg").arg(picture);
         }

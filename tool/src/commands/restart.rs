@@ -1,7 +1,7 @@
 //! `haptic board restart`: restarts a board.
 
 use super::port::{MOTORS_GO_OFF, OnBoard, confirm};
-use haptic_host::backup::unsaved;
+use haptic_host::backup::unsaved_settings;
 use haptic_host::error::Failure;
 use serde_json::json;
 
@@ -24,7 +24,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if board.status()?.state.drives() {
         loses.push(MOTORS_GO_OFF.to_string());
     }
-    let unsaved = unsaved(&mut board)?;
+    let unsaved = unsaved_settings(&mut board)?;
     if !unsaved.is_empty() {
         loses.push(format!("unsaved settings will be lost: {} (`haptic board save` keeps them)", unsaved.join(", ")));
     }

@@ -29,9 +29,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
     let backup = Backup::parse(document.text()).map_err(wrong)?;
     // Reports damage before a board is opened.
-    backup.ready().map_err(wrong)?;
+    backup.prepared_settings().map_err(wrong)?;
     let mut board = args.on.open()?;
-    let mut ready = backup.ready().map_err(wrong)?;
+    let mut ready = backup.prepared_settings().map_err(wrong)?;
     let info = board.info();
     let from_another = (backup.board.as_str(), backup.serial.as_str()) != (info.board.as_str(), info.serial.as_str());
     if from_another {
@@ -51,7 +51,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn_of_weaker_rules(&before, &board.rules()?);
     let mut report = String::new();
     for setting in &ready {
-        report += &match setting.how {
+        report += &match setting.method {
             RestoreMethod::Unchanged => format!("{}: restored\n", setting.key.name()),
             RestoreMethod::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
             RestoreMethod::NotRestored => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
@@ -60,6 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if from_another {
         report += "name: unchanged; `haptic board name` changes it\n";
     }
-    let how = |setting: &PreparedSetting| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
+    let how =
+        |setting: &PreparedSetting| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.method) });
     args.on.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
 }

@@ -52,7 +52,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let name = path.display();
     let device = device.cast::<f64>();
     let (file_warnings, _) = file_warnings(&Subject::on_board(device.clone(), None), &file.scene);
-    let warnings: Vec<_> = file_warnings.into_iter().map(|doubt| doubt.about(&document)).collect();
+    let warnings: Vec<_> = file_warnings.into_iter().map(|doubt| doubt.locate_in(&document)).collect();
     warn(&warnings);
     if board.status()?.state == State::Armed {
         board.set_scene(&written)?;

@@ -16,7 +16,7 @@ use haptic_host::scene_file::SceneFile;
 use haptic_host::words::digits;
 use haptic_predict::measure::board_measurement;
 use haptic_predict::plausible::scene::{contact_limits_at, file_warnings};
-use haptic_predict::tune::measured::{self, Measured};
+use haptic_predict::tune::measured::{self, MeasuredWall};
 use haptic_predict::tune::{
     Alternative, Baseline, Margins, Question, RATES_HZ, Settings, TuneResult, TunedWall, USUAL_RIPPLE_N, baseline,
     ripple_like, to_toml, tune,
@@ -124,9 +124,9 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    measured: Option<&'a Measured>,
+    measured: Option<&'a MeasuredWall>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    scene_measured: Option<&'a Measured>,
+    scene_measured: Option<&'a MeasuredWall>,
 }
 
 /// The wall to make stiffer, and the pose in which it is touched.
@@ -179,8 +179,9 @@ fn search(args: Search) -> Result<(), Failure> {
         let (ripple_n, board_ripple_n) = ripple_like(&question, settings, &sweep)?;
         (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
-    let before =
-        place.written.map(|settings| sweep.during("the wall of the scene", || baseline(&question, &settings, &sweep)));
+    let before = place
+        .written
+        .map(|settings| sweep.run_stage("the wall of the scene", || baseline(&question, &settings, &sweep)));
     let before = before.transpose()?;
     question.known = before.map(|before| before.settings);
     let answer = tune(&question, &sweep)?;
@@ -188,8 +189,9 @@ fn search(args: Search) -> Result<(), Failure> {
     if args.measure {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
         let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
-        let mut results = sweep
-            .during("measured on the simulated board", || haptic_stability::cores::map(&stages, &|_, _| {}, measure));
+        let mut results = sweep.run_stage("measured on the simulated board", || {
+            haptic_stability::cores::map(&stages, &|_, _| {}, measure)
+        });
         best_measured = results.pop().flatten().transpose()?;
         scene_measured = results.pop().flatten().transpose()?;
     }
@@ -431,7 +433,7 @@ fn readable(document: &Document<'_>) -> String {
         line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripple_in_words(found)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
-    let describe_measured = |name: &str, measured: &Measured| {
+    let describe_measured = |name: &str, measured: &MeasuredWall| {
         let ripple = measured
             .ripple_n
             .map_or("the wall does not hold the hand".into(), |ripple| format!("ripple {ripple:.4} N"));
@@ -478,8 +480,8 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
 }
 
 /// Describes the cost of a stiffer wall: a struck tip comes to rest up to another stiffness.
-fn rest_range_in_words(before: &Measured, found: &Measured) -> String {
-    let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
+fn rest_range_in_words(before: &MeasuredWall, found: &MeasuredWall) -> String {
+    let at_least = |measured: &MeasuredWall| if measured.open.is_some() { "at least " } else { "" };
     format!(
         "  cost: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",
         at_least(before),

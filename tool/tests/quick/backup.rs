@@ -41,8 +41,8 @@ fn saved_settings_are_restored_byte_for_byte() {
     assert!(saved.len() >= 5, "{:?}", saved.keys());
     let text = Backup::read(&mut source).unwrap().to_text();
     let mut target = empty_board("SIM0001");
-    let ready = Backup::parse(&text).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Unchanged));
+    let ready = Backup::parse(&text).unwrap().prepared_settings().unwrap();
+    assert!(ready.iter().all(|setting| setting.method == RestoreMethod::Unchanged));
     restore(&mut target, &ready).unwrap();
     assert_eq!(saved_entries(&mut target), saved);
     assert_eq!(target.scene().unwrap(), source.scene().unwrap());
@@ -64,8 +64,8 @@ fn a_backup_of_another_version_is_translated() {
         setting.version = 77;
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
     }
-    let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Translated));
+    let ready = Backup::parse(&backup.to_text()).unwrap().prepared_settings().unwrap();
+    assert!(ready.iter().all(|setting| setting.method == RestoreMethod::Translated));
     let mut target = empty_board("SIM0001");
     restore(&mut target, &ready).unwrap();
     assert_eq!(saved_entries(&mut target), saved);
@@ -80,11 +80,11 @@ fn damage_is_detected_before_anything_is_sent() {
         let flipped = if bytes.ends_with('0') { '1' } else { '0' };
         bytes.pop();
         bytes.push(flipped);
-        assert!(matches!(damaged.ready(), Err(BackupError::Damaged(..))), "{name}");
+        assert!(matches!(damaged.prepared_settings(), Err(BackupError::Damaged(..))), "{name}");
     }
     let mut unknown = backup.clone();
     unknown.settings.insert("colour".into(), backup.settings["rules"].clone());
-    assert_eq!(unknown.ready(), Err(BackupError::UnknownSetting("colour".into())));
+    assert_eq!(unknown.prepared_settings(), Err(BackupError::UnknownSetting("colour".into())));
 }
 
 #[test]
@@ -93,12 +93,12 @@ fn a_value_that_was_edited_is_not_silently_ignored() {
     assert!(text.contains("3.3,") && !text.contains("3.2999"), "numbers must have few digits: {text}");
     let edited = text.replace("3.3,", "1000.0,");
     assert_ne!(edited, text);
-    let error = Backup::parse(&edited).unwrap().ready().unwrap_err();
+    let error = Backup::parse(&edited).unwrap().prepared_settings().unwrap_err();
     assert_eq!(error, BackupError::ValueAndBytesDiffer("rules"));
     assert!(error.to_string().contains("haptic rules"));
     // The same number in another notation is no change.
-    assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
-    assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
+    assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().prepared_settings().is_ok());
+    assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().prepared_settings().is_ok());
 }
 
 #[test]
@@ -108,8 +108,8 @@ fn a_polarity_check_is_never_restored() {
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
     let saved_setting = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), saved_setting);
-    let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
-    assert_eq!(ready.how, RestoreMethod::NotRestored);
+    let ready = backup.prepared_settings().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
+    assert_eq!(ready.method, RestoreMethod::NotRestored);
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn a_backup_without_a_mass_model_resets_the_boards_model() {
     let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     backup.settings.remove("mass-model");
     let mut target = board_with_all_settings();
-    restore(&mut target, &backup.ready().unwrap()).unwrap();
+    restore(&mut target, &backup.prepared_settings().unwrap()).unwrap();
     let entry = target.read_entry(Key::MassModel).unwrap().unwrap();
     assert_eq!(haptic_bridge::board::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));
 }

@@ -157,9 +157,9 @@ fn flash_without_a_board_or_an_image_is_refused() {
         assert!(message.contains(says), "haptic {line}\n{message}");
     };
     refuses("flash --port sim", 2, "a simulated board has no flash for firmware");
-    refuses("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
+    refuses("flash --file no.dfu", 2, "no.dfu: the file is not a DfuSe update file");
     refuses("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
-    match haptic_flash::embedded() {
+    match haptic_flash::embedded_images() {
         [] => refuses("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
         _ => {
             refuses("flash --port NOSUCHBOARD", 1, "finding a board: ");

@@ -273,7 +273,7 @@ fn a_passive_wall_is_stable() {
                 };
                 let max_damping = passivity.largest_damping();
                 for share in [0.0, 0.3, 0.7] {
-                    let passive = passivity.sampled(share * max_damping);
+                    let passive = passivity.largest_stiffness(share * max_damping);
                     let (stable, _) = stiffness_at(&model, &prediction.around, Mode::Off, share * max_damping).unwrap();
                     let case = format!("{} {path:?} {rate} {cutoff} {share}", device.name);
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
@@ -285,7 +285,7 @@ fn a_passive_wall_is_stable() {
                         Drive::Current { bandwidth_hz } => 1.0 / (std::f64::consts::TAU * bandwidth_hz),
                         _ => 0.0,
                     };
-                let share = passivity.sampled(0.0) * late / passivity.damping;
+                let share = passivity.largest_stiffness(0.0) * late / passivity.damping;
                 assert!((0.9..1.000001).contains(&share), "{} {path:?} {rate}: {share}", device.name);
             }
         }

@@ -60,11 +60,11 @@ fn at_the_origin_every_boundary_has_the_same_slope() {
     for delay in [0.0, 0.25, 0.5, 1.0, 1.6, 2.0, 3.0] {
         for estimator in [
             LinearEstimator::BackwardDifference,
-            LinearEstimator::BackwardDifference.over(4),
+            LinearEstimator::BackwardDifference.with_window(4),
             LinearEstimator::FirstOrder(40.0),
             LinearEstimator::Butterworth(20.0),
             LinearEstimator::Butterworth(200.0),
-            LinearEstimator::Butterworth(100.0).over(3),
+            LinearEstimator::Butterworth(100.0).with_window(3),
         ] {
             let damping = 1e-5;
             let slope = boundary(&control_loop(estimator, delay), &[damping])[0] / damping;

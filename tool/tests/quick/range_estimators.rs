@@ -52,7 +52,7 @@ fn a_difference_over_k_samples_matches_its_transfer_function() {
     };
     for k in [2, 5, 10, 32] {
         for b in [0.01, 0.02, 0.04] {
-            let found = boundary(LinearEstimator::BackwardDifference.over(k as usize), &[b]).unwrap()[0];
+            let found = boundary(LinearEstimator::BackwardDifference.with_window(k as usize), &[b]).unwrap()[0];
             assert!((found / crossing(k, b) - 1.0).abs() < 1e-4, "over {k}, damping {b}: {found}, {}", crossing(k, b));
         }
     }
@@ -60,9 +60,9 @@ fn a_difference_over_k_samples_matches_its_transfer_function() {
 
 #[test]
 fn impossible_windows_and_cutoffs_are_refused() {
-    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(0), &[]), Err(AnalysisError::Difference(0)));
-    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(65), &[]), Err(AnalysisError::Difference(65)));
-    for estimator in [LinearEstimator::Predicted(0.0), LinearEstimator::Butterworth(500.0).over(2)] {
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.with_window(0), &[]), Err(AnalysisError::Difference(0)));
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.with_window(65), &[]), Err(AnalysisError::Difference(65)));
+    for estimator in [LinearEstimator::Predicted(0.0), LinearEstimator::Butterworth(500.0).with_window(2)] {
         assert!(matches!(boundary(estimator, &[]), Err(AnalysisError::Cutoff { .. })), "{estimator:?}");
     }
 }

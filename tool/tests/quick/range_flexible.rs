@@ -19,7 +19,7 @@ fn every_boundary_agrees_with_independent_values() {
         let device = device.with_hand(Hand { mass, damping, stiffness });
         let samples = case["difference_over"].as_u64().unwrap() as usize;
         let [rate_hz, delay, cutoff] = ["rate", "delay", "cutoff"].map(|key| case[key].as_f64().unwrap());
-        let around = ideal_loop(rate_hz, delay, LinearEstimator::Butterworth(cutoff).over(samples));
+        let around = ideal_loop(rate_hz, delay, LinearEstimator::Butterworth(cutoff).with_window(samples));
         for (mode, key) in [(Mode::Off, "off"), (Mode::Full, "full")] {
             let expected = case["expect"][key].as_array().unwrap();
             let kd: Vec<f64> = expected.iter().map(|point| point["kd"].as_f64().unwrap()).collect();
@@ -103,7 +103,7 @@ fn a_fast_mode_lowers_the_boundary() {
 fn a_difference_over_more_samples_lowers_the_boundary() {
     let device = stiff_device();
     let mean = |samples| {
-        let estimator = LinearEstimator::BackwardDifference.over(samples);
+        let estimator = LinearEstimator::BackwardDifference.with_window(samples);
         let around = Loop { estimator, ..control_loop(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };

@@ -4,20 +4,20 @@ use crate::common::prelude::*;
 use crate::common::{self, ideal_loop, shipped_device, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use haptic_predict::bench::estimators::{Comparison, ripple_of};
-use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, PressedWall};
 use haptic_stability::analysis::line::DampingRule;
 
 const POSE: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
 /// Runs `work` on the shipped device with this number of counts per turn.
-fn with_pressed_wall<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
+fn with_pressed_wall<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&PressedWall<'_>) -> T) -> T {
     let mut file = shipped_device("coupled-five-bar");
     for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
         encoder.counts_per_turn = counts.unwrap_or(encoder.counts_per_turn);
     }
     let device = Linearised::at(&file.description, &POSE, &NORMAL).unwrap();
-    work(&Pressed {
+    work(&PressedWall {
         device: &device,
         description: file.description,
         q: POSE.to_vec(),
@@ -57,7 +57,7 @@ fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
         with_pressed_wall(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap())
     };
     let limit = with_pressed_wall(&around, None, |pressed| {
-        pressed.along(Mode::Off, DampingRule::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
+        pressed.ripple_line(Mode::Off, DampingRule::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);
@@ -77,12 +77,15 @@ fn the_boards_own_step_has_a_similar_ripple() {
         let delay = 0.5 * rate_hz / 20_000.0;
         for (kind, linear) in [
             (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),
-            (Kind::Difference(Chosen { value: 8, filtered: false }), LinearEstimator::BackwardDifference.over(8)),
+            (
+                Kind::Difference(Chosen { value: 8, filtered: false }),
+                LinearEstimator::BackwardDifference.with_window(8),
+            ),
         ] {
             let board = ripple_of(&comparison, kind).unwrap().unwrap();
             let around = ideal_loop(rate_hz, delay, linear);
             let found = with_pressed_wall(&around, None, |pressed| {
-                let free_press = Pressed { description: file.description, ..pressed.clone() };
+                let free_press = PressedWall { description: file.description, ..pressed.clone() };
                 free_press.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
             });
             assert!((0.6..1.7).contains(&(found / board)), "{rate_hz} Hz, {kind:?}: {found} is not {board}");

@@ -5,7 +5,7 @@ use crate::common::{ideal_loop, rigid_device, svg_number};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
-use haptic_stability::analysis::why::{Limits, why};
+use haptic_stability::analysis::why::{Limits, explain_boundary};
 use haptic_stability::cores;
 use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -23,7 +23,7 @@ fn soft_device_in_hand() -> Linearised {
 }
 
 fn control_loop(bandwidth_hz: f64) -> Loop {
-    let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).over(2));
+    let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).with_window(2));
     Loop { drive: Drive::Current { bandwidth_hz }, ..ideal }
 }
 
@@ -31,7 +31,7 @@ fn control_loop(bandwidth_hz: f64) -> Loop {
 fn every_effect_is_compared_with_the_loop_without_it() {
     let device = soft_device_in_hand();
     let around = control_loop(500.0);
-    let found = why(&device, &around, &Sweep::quiet()).unwrap();
+    let found = explain_boundary(&device, &around, &Sweep::quiet()).unwrap();
     let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
     let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
     assert_eq!(names, all);
@@ -54,7 +54,7 @@ fn every_effect_is_compared_with_the_loop_without_it() {
     let faster = Loop {
         rate_hz: 10_000.0,
         delay_samples: 5.0,
-        estimator: LinearEstimator::Butterworth(50.0).over(20),
+        estimator: LinearEstimator::Butterworth(50.0).with_window(20),
         ..around.clone()
     };
     same(found.effects[0].limits.off, alone(&device, &faster));
@@ -66,7 +66,7 @@ fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
     let mut device = soft_device_in_hand().undamped();
     device.flexible = Flexible::default();
     let around = ideal_loop(1000.0, 0.0, LinearEstimator::Butterworth(50.0));
-    let found = why(&device, &around, &Sweep::quiet()).unwrap();
+    let found = explain_boundary(&device, &around, &Sweep::quiet()).unwrap();
     assert_eq!(found.effects.iter().map(|without| without.effect).collect::<Vec<_>>(), ["sampling", "filter"]);
     assert!(found.effects.iter().all(|without| without.takes.off.unwrap() > 0.0));
 }
@@ -93,7 +93,7 @@ fn results_of_several_cores_are_in_order() {
 #[test]
 fn every_text_lies_within_the_picture() {
     let around = control_loop(6400.0);
-    let found = why(&soft_device_in_hand(), &around, &Sweep::quiet()).unwrap();
+    let found = explain_boundary(&soft_device_in_hand(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
     let svg = picture.svg();
     let value = |line: &str, key: &str| svg_number(line, key).unwrap_or_else(|| panic!("{key}: {line}"));

@@ -15,7 +15,7 @@ type Error = Box<dyn std::error::Error + Send + Sync>;
 /// Device, pose and normal of the wall; the normal has the largest Wrr/Weff at the pose.
 const SETUP: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
 /// Options of `haptic measure-range` for the idealised device of the linear theory.
-const IDEAL: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
+const IDEAL_OPTIONS: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
 
 /// A range to measure.
 struct Case {
@@ -30,7 +30,7 @@ struct Case {
 
 /// Returns a case of the idealised device with a picture.
 const fn theory(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: Some(name), rate, world: IDEAL }
+    Case { name, picture: Some(name), rate, world: IDEAL_OPTIONS }
 }
 
 /// Rates and cutoffs at which the measurement is compared with the theory.
@@ -72,7 +72,7 @@ const WORLDS: [Case; 10] = [
 
 /// Returns a case of the idealised device without a picture.
 const fn washout(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: None, rate, world: IDEAL }
+    Case { name, picture: None, rate, world: IDEAL_OPTIONS }
 }
 
 /// Names of the cases are the washout corners, Hz.
@@ -84,10 +84,8 @@ const WASHOUTS: [Case; 3] = [
 /// Corner frequencies of the washouts for which the theory is evaluated, Hz.
 const CORNERS_HZ: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 
-/// Devices and normals of the maps.
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
-/// Number of processes that run in parallel.
 const PARALLEL_RUNS: usize = 2;
 
 /// Returns the command line of a case, which stores the measurement in the file `progress` and replaces the published
@@ -224,7 +222,6 @@ fn main() -> Result<(), Error> {
     Ok(())
 }
 
-/// Adds a row to a table and prints it.
 fn add_row(table: &mut String, cells: &[String]) {
     let row = csv_line(cells);
     print!("{row}");

@@ -18,14 +18,13 @@ pub fn check() -> Result<()> {
     let made = make()?;
     let scratch = target_directory().join("dist-check");
     create_empty(&scratch)?;
-    archive(&made, &scratch.join("archive"))?;
-    wheel(&made, &scratch.join("wheel"))?;
+    check_archive(&made, &scratch.join("archive"))?;
+    check_wheel(&made, &scratch.join("wheel"))?;
     fs::remove_dir_all(&scratch).with_context(|| format!("cannot remove {}", scratch.display()))?;
     publish::dry_run()
 }
 
-/// Unpacks the archive and checks its contents.
-fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
+fn check_archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
     create_empty(place)?;
     run(Command::new("tar").arg("-xzf").arg(&made.archive).arg("-C").arg(place))?;
     let entries = fs::read_dir(place)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
@@ -46,7 +45,7 @@ fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
         let bytes = fs::metadata(folder.join(path)).with_context(|| format!("the archive has no {path}"))?.len();
         ensure!(bytes > 500, "{path} in the archive has only {bytes} bytes");
     }
-    tool(folder, place)?;
+    check_tool(folder, place)?;
     let known = output(isolated_tool(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
     ensure!(known.contains("five-bar"), "{known}");
     // For an unknown board the tool lists the boards of its images.
@@ -57,13 +56,12 @@ fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Installs the wheel into an empty environment and checks the tool and the package.
-fn wheel(made: &ReleaseFiles, place: &Path) -> Result<()> {
+fn check_wheel(made: &ReleaseFiles, place: &Path) -> Result<()> {
     create_empty(place)?;
     let environment = place.join("environment");
     let python = python::environment(&environment, &[made.wheel.to_string_lossy().into_owned()])?;
     let programs = python.parent().context("the interpreter's path has no folder")?;
-    tool(programs, place)?;
+    check_tool(programs, place)?;
     let program =
         "import haptic_bridge as hb\nwith hb.Board('sim') as board: print(len(board.look().tip), hb.__version__)";
     let printed = output(Command::new(&python).current_dir(place).args(["-c", program]))?;
@@ -71,8 +69,7 @@ fn wheel(made: &ReleaseFiles, place: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs the tool's demo from a folder.
-fn tool(folder: &Path, place: &Path) -> Result<()> {
+fn check_tool(folder: &Path, place: &Path) -> Result<()> {
     let version = output(isolated_tool(folder, place).arg("--version"))?;
     ensure!(version == format!("haptic {}\n", super::version()?), "the tool's version is {version}");
     let table = output(isolated_tool(folder, place).arg("demo"))?;

@@ -19,7 +19,6 @@ pub fn write_into(folder: &Path) -> Result<()> {
     write(&folder.join("LICENSES-OTHERS.txt"), dependency_licenses()?.as_bytes())
 }
 
-/// Returns the license texts, each with the names of its crates.
 fn dependency_licenses() -> Result<String> {
     let mut crates = linked_crates("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
     crates.extend(linked_crates("Cargo.toml", &["haptic-page"], BROWSERS)?);
@@ -87,7 +86,6 @@ fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTre
         .collect()
 }
 
-/// Reads the license files in the folder of a manifest.
 fn texts(manifest: &Path) -> Result<Vec<String>> {
     let folder = manifest.parent().context("the manifest's path has no folder")?;
     let mut found = Vec::new();

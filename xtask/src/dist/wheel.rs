@@ -40,7 +40,6 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
     Ok(wheel)
 }
 
-/// Returns the only entry of a folder.
 fn only_entry(folder: &Path) -> Result<PathBuf> {
     let mut entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     match (entries.next(), entries.next()) {

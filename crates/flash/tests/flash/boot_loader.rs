@@ -1,6 +1,6 @@
-//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662. It is stricter
-//! than the ROM: a request that the documents do not allow, such as a status request before the reported time, is an
-//! error.
+//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662. The copy is
+//! stricter than the ROM: a request that the documents do not allow, such as a status request before the reported time,
+//! is an error.
 
 use std::time::Duration;
 
@@ -41,7 +41,7 @@ pub enum Status {
 
 /// An operation that the next status request starts.
 #[derive(Clone, Debug)]
-enum Pending {
+enum PendingOperation {
     SetAddress(u32),
     Erase(u32),
     MassErase,
@@ -64,9 +64,9 @@ pub struct BootLoader {
     pub state: State,
     pub status: Status,
     pointer: u32,
-    pending: Option<Pending>,
+    pending: Option<PendingOperation>,
     /// Time before which a status request is an error.
-    busy: Duration,
+    busy_until: Duration,
     outcome: Status,
     /// Number of status replies of an operation that each announce 5 ms more.
     pub late: u32,
@@ -86,7 +86,7 @@ impl BootLoader {
             status: Status::Ok,
             pointer: FLASH.start,
             pending: None,
-            busy: Duration::ZERO,
+            busy_until: Duration::ZERO,
             outcome: Status::Ok,
             late: 0,
             late_left: 0,
@@ -108,7 +108,7 @@ impl BootLoader {
         now: Duration,
         share: f32,
     ) -> Reply {
-        if self.state == State::Dnbusy && now < self.busy {
+        if self.state == State::Dnbusy && now < self.busy_until {
             return self.stall(Status::StalledPacket);
         }
         match (request, self.state) {
@@ -139,16 +139,16 @@ impl BootLoader {
             return Reply::Bytes(Vec::new());
         }
         let pending = match (value, data) {
-            (0, [0x21, _, _, _, _]) => Pending::SetAddress(address(data)),
-            (0, [0x41, _, _, _, _]) => Pending::Erase(address(data)),
-            (0, [0x41]) => Pending::MassErase,
-            (0, [0x92]) => Pending::Unprotect,
-            (0, _) => Pending::Unsupported,
+            (0, [0x21, _, _, _, _]) => PendingOperation::SetAddress(address(data)),
+            (0, [0x41, _, _, _, _]) => PendingOperation::Erase(address(data)),
+            (0, [0x41]) => PendingOperation::MassErase,
+            (0, [0x92]) => PendingOperation::Unprotect,
+            (0, _) => PendingOperation::Unsupported,
             (1, _) => return self.stall(Status::StalledPacket),
             // A block has 2 to 2048 bytes.
             (_, data) if !(2..=2048).contains(&data.len()) => return self.stall(Status::StalledPacket),
             // The offset of a block is its number minus 2, times its length.
-            (block, data) => Pending::Write {
+            (block, data) => PendingOperation::Write {
                 address: self.pointer.wrapping_add(u32::from(block - 2) * data.len() as u32),
                 bytes: data.to_vec(),
             },
@@ -182,13 +182,13 @@ impl BootLoader {
         match self.state {
             State::DnloadSync => {
                 let Some(pending) = self.pending.take() else { return self.stall(Status::StalledPacket) };
-                if matches!(pending, Pending::Unprotect) {
+                if matches!(pending, PendingOperation::Unprotect) {
                     // The chip erases its flash, then resets.
                     flash.fill(0xFF);
                     self.protected = false;
                     return Reply::Resets;
                 }
-                if matches!(pending, Pending::Unsupported) {
+                if matches!(pending, PendingOperation::Unsupported) {
                     (self.state, self.status) = (State::Error, Status::StalledPacket);
                 } else {
                     self.operations += 1;
@@ -196,14 +196,14 @@ impl BootLoader {
                     if self.failing_operation == Some(self.operations) {
                         self.outcome = Status::Prog;
                     }
-                    (self.state, self.busy) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
+                    (self.state, self.busy_until) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
                     self.late_left = self.late;
                 }
             }
             State::Dnbusy if self.late_left > 0 => {
                 self.late_left -= 1;
                 pause = 5;
-                self.busy = now + Duration::from_millis(5);
+                self.busy_until = now + Duration::from_millis(5);
             }
             State::Dnbusy if self.outcome == Status::Ok => self.state = State::DnloadIdle,
             State::Dnbusy => (self.state, self.status) = (State::Error, self.outcome),
@@ -221,28 +221,28 @@ impl BootLoader {
         vec![self.status as u8, low, middle, high, self.state as u8, 0]
     }
     /// Carries out an operation. Returns its status and its duration, ms (typical times of the STM32F405 data sheet).
-    fn carry_out(&mut self, pending: Pending, flash: &mut [u8], share: f32) -> (Status, u32) {
+    fn carry_out(&mut self, pending: PendingOperation, flash: &mut [u8], share: f32) -> (Status, u32) {
         let part = |length: usize| (length as f32 * share) as usize;
         match pending {
-            Pending::SetAddress(address) if FLASH.contains(&address) => {
+            PendingOperation::SetAddress(address) if FLASH.contains(&address) => {
                 self.pointer = address;
                 (Status::Ok, 1)
             }
-            Pending::SetAddress(_) => (Status::Target, 1),
+            PendingOperation::SetAddress(_) => (Status::Target, 1),
             _ if self.protected => (Status::Vendor, 1),
-            Pending::Erase(address) => {
+            PendingOperation::Erase(address) => {
                 let Some((number, start, length)) = sector(address) else { return (Status::Target, 1) };
                 let from = (start - FLASH.start) as usize;
                 flash[from..][..part(length)].fill(0xFF);
                 self.erased.push(number);
                 (Status::Ok, 15 + length as u32 / 64)
             }
-            Pending::MassErase => {
+            PendingOperation::MassErase => {
                 flash.fill(0xFF);
                 self.erased.extend(0..12);
                 (Status::Ok, 16_000)
             }
-            Pending::Write { address, bytes } => {
+            PendingOperation::Write { address, bytes } => {
                 if !FLASH.contains(&address) || FLASH.end - address < bytes.len() as u32 {
                     return (Status::Target, 1);
                 }
@@ -252,7 +252,7 @@ impl BootLoader {
                 cells.for_each(|(cell, byte)| *cell &= byte);
                 (Status::Ok, bytes.len() as u32 / 128)
             }
-            Pending::Unprotect | Pending::Unsupported => (Status::StalledPacket, 0),
+            PendingOperation::Unprotect | PendingOperation::Unsupported => (Status::StalledPacket, 0),
         }
     }
 }

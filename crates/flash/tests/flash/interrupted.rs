@@ -5,7 +5,7 @@ use crate::phases::attempt;
 use crate::rig::{Cut, Site, image};
 
 /// Returns the number of requests of a successful attempt.
-fn requests() -> usize {
+fn request_count() -> usize {
     let site = Site::running(&image("odrive-v3", "0.1.0", 10));
     attempt(&site, None, &image("odrive-v3", "0.2.0", 11)).unwrap();
     site.0.borrow().requests
@@ -14,7 +14,7 @@ fn requests() -> usize {
 #[test]
 fn an_interrupted_board_only_runs_complete_images() {
     let (old, new) = (image("odrive-v3", "0.1.0", 10), image("odrive-v3", "0.2.0", 11));
-    let all = requests();
+    let all = request_count();
     assert!(all > 150, "{all}");
     let (mut unchanged, mut nothing, mut damaged, mut done) = (0, 0, 0, 0);
     for at in 1..=all {

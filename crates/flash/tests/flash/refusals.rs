@@ -5,16 +5,16 @@ use haptic_flash::{Cause, Misfit, Phase, SETTINGS, Segment, UsbError};
 use crate::phases::attempt;
 use crate::rig::{Site, image};
 
-fn old() -> haptic_flash::Image {
+fn old_image() -> haptic_flash::Image {
     image("odrive-v3", "0.1.0", 10)
 }
 
-fn new() -> haptic_flash::Image {
+fn new_image() -> haptic_flash::Image {
     image("odrive-v3", "0.2.0", 11)
 }
 
 /// Makes an attempt that must fail and leave the flash unchanged. Returns the error.
-fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError {
+fn refusal(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError {
     let before = site.0.borrow().flash.clone();
     let error = attempt(site, None, image).unwrap_err();
     assert!(before == site.0.borrow().flash, "{error}");
@@ -24,8 +24,8 @@ fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError
 
 #[test]
 fn an_image_for_another_board_is_refused() {
-    let site = Site::running(&old());
-    let error = refused(&site, &image("h-bridge-f405", "0.2.0", 11));
+    let site = Site::running(&old_image());
+    let error = refusal(&site, &image("h-bridge-f405", "0.2.0", 11));
     assert_eq!(
         error.to_string(),
         "identifying the board: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for \
@@ -37,9 +37,9 @@ fn an_image_for_another_board_is_refused() {
 #[test]
 fn images_that_cannot_be_flashed_are_refused() {
     let error_of = |change: fn(&mut Vec<Segment>)| {
-        let mut image = new();
+        let mut image = new_image();
         change(&mut image.segments);
-        refused(&Site::running(&old()), &image).to_string()
+        refusal(&Site::running(&old_image()), &image).to_string()
     };
     let text = error_of(|segments| segments.push(Segment { address: SETTINGS.end - 4, bytes: vec![0; 4] }));
     assert!(text.contains("overwrite the board's settings"), "{text}");
@@ -59,9 +59,9 @@ fn another_chip_is_refused() {
     for memory in
         ["@Internal Flash  /0x08000000/512*0002Kg", "@Internal Flash  /0x08000000/04*032Kg,01*128Kg,03*256Kg", "flash"]
     {
-        let site = Site::running(&old());
+        let site = Site::running(&old_image());
         site.change(|board| board.memory = memory);
-        let error = refused(&site, &new());
+        let error = refusal(&site, &new_image());
         assert!(matches!(error.cause, Cause::Misfit(Misfit::OtherChip) | Cause::Layout(_)), "{error}");
         assert!(error.to_string().contains("switch the power off and on to start the present firmware"), "{error}");
     }
@@ -69,9 +69,9 @@ fn another_chip_is_refused() {
 
 #[test]
 fn a_protected_chip_is_refused_and_unchanged() {
-    let site = Site::running(&old());
+    let site = Site::running(&old_image());
     site.change(|board| board.protected = true);
-    let text = refused(&site, &new()).to_string();
+    let text = refusal(&site, &new_image()).to_string();
     assert!(
         text.contains("protected") && text.contains("erases the whole chip") && text.contains("unprotect"),
         "{text}"
@@ -81,36 +81,36 @@ fn a_protected_chip_is_refused_and_unchanged() {
 #[test]
 fn a_boot_loader_that_cannot_be_opened_names_the_remedy() {
     for (error, word) in [(UsbError::Forbidden, "haptic udev"), (UsbError::Busy, "dfu-util")] {
-        let site = Site::running(&old());
+        let site = Site::running(&old_image());
         site.change(|board| board.open_error = Some(error));
-        let error = refused(&site, &new());
+        let error = refusal(&site, &new_image());
         assert!(error.phase == Phase::Open && error.to_string().contains(word), "{error}");
     }
 }
 
 #[test]
 fn a_board_that_does_not_enter_its_boot_loader_is_reported() {
-    let site = Site::running(&old());
+    let site = Site::running(&old_image());
     site.change(|board| board.ignores_restart = true);
-    let error = refused(&site, &new());
+    let error = refusal(&site, &new_image());
     assert_eq!((error.phase, &error.cause), (Phase::Enter, &Cause::NoBootLoader));
     assert!(error.to_string().contains("DIP switch"), "{error}");
 }
 
 #[test]
 fn a_missing_board_and_a_wrong_serial_are_distinguished() {
-    let site = Site::running(&old());
-    let error = attempt(&site, Some("ABC"), &new()).unwrap_err();
+    let site = Site::running(&old_image());
+    let error = attempt(&site, Some("ABC"), &new_image()).unwrap_err();
     assert_eq!(error.cause, Cause::NotThere("ABC".into()));
     site.change(|board| board.plugged = false);
-    assert_eq!(refused(&site, &new()).cause, Cause::NoBoard);
+    assert_eq!(refusal(&site, &new_image()).cause, Cause::NoBoard);
 }
 
 #[test]
 fn a_board_that_restarts_with_another_version_is_reported() {
-    let site = Site::running(&old());
+    let site = Site::running(&old_image());
     site.change(|board| board.reported_version = Some("0.0.9"));
-    let error = attempt(&site, None, &new()).unwrap_err();
+    let error = attempt(&site, None, &new_image()).unwrap_err();
     assert_eq!(error.phase, Phase::Compare);
     let text = error.to_string();
     assert!(text.contains("odrive-v3 0.0.9, protocol 11") && text.contains("odrive-v3 0.2.0, protocol 11"), "{text}");

@@ -4,7 +4,7 @@
 //! variant omits them, or if the board fades them because its velocity estimates lag. A torque error is expressed as
 //! the force J⁻ᵀ Δτ at the tip, which a hand would have to hold.
 
-use crate::bench::precompute::Precomputed;
+use crate::bench::precompute::PrecomputedModel;
 use crate::bench::probe::Probe;
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
@@ -82,7 +82,7 @@ impl Law {
     }
 
     /// Returns the shares of `probes` at which the velocity terms are faded and at which they are off.
-    pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
+    pub fn fading_shares(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
         let shares: Vec<f64> =
             with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
         [1.0, f64::MIN_POSITIVE].map(|below| {
@@ -113,7 +113,7 @@ pub enum Trigonometry {
 #[derive(Clone, Copy, Debug)]
 pub struct TorqueVariant<'a> {
     /// Mass model.
-    pub model: &'a Precomputed,
+    pub model: &'a PrecomputedModel,
     /// Terms of equation (4).
     pub terms: Terms,
     /// Implementation of sines, cosines and square roots.
@@ -165,7 +165,7 @@ pub struct VariantErrors {
     /// Errors relative to the complete law.
     pub whole: Errors,
     /// Errors relative to a board that computes exactly but fades its velocity terms.
-    pub given: Errors,
+    pub unfaded_errors: Errors,
 }
 
 /// Computes the joint torques (N m) of `probe` with a mass model and terms, in the precision `T`.
@@ -247,7 +247,7 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return VariantErrors::default() };
     let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
     let against = |law: Law| errors_against::<E, N>(device, exact, probes, &torques, law);
-    VariantErrors { whole: against(law.without_fading()), given: against(law) }
+    VariantErrors { whole: against(law.without_fading()), unfaded_errors: against(law) }
 }
 
 /// Computes the errors of the torques `actual` against a law.
@@ -262,14 +262,14 @@ fn errors_against<E: Mechanism<f64, N>, const N: usize>(
     let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (probe, actual) in probes.iter().zip(actual) {
         let off = difference(*actual, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
-        let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
+        let whole = largest_entry(reference::<E, N>(exact, Terms::None, law, probe));
         let share = |i: usize| {
             off[i].abs() / device.joints[i].motor.map_or(whole, |motor| torque_at_rest(&motor, device.axes()))
         };
-        torques.push(largest(off));
+        torques.push(largest_entry(off));
         forces.push(force_at_tip::<E, N>(exact, probe, off));
         shares.push((0..N).map(share).fold(0.0, f64::max));
-        duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
+        duties.push(largest_entry(std::array::from_fn(|i| off[i] * steps[i])));
     }
     Errors {
         torque: ErrorStatistics::of(torques),
@@ -288,7 +288,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
-/// Returns the error of each joint torque, N m; infinity if it is not finite.
+/// Returns the error of each joint torque, N m; infinity for a torque that is not finite.
 fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
         let off = actual[i] - right[i];
@@ -296,7 +296,7 @@ fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_
     })
 }
 
-fn largest(values: [f64; MAX_JOINTS]) -> f64 {
+fn largest_entry(values: [f64; MAX_JOINTS]) -> f64 {
     values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
 }
 

@@ -22,9 +22,9 @@ const SETTLE_S: f64 = 0.3;
 const RECORD_S: f64 = 0.3;
 /// Speed of the slow motion in which the velocity noise is computed, m/s.
 const SLOW_SPEED: f64 = 0.01;
-const SLOW_S: f64 = 0.2;
+const SLOW_MOTION_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
-const DAMPINGS: usize = 8;
+const DAMPING_COUNT: usize = 8;
 /// Largest ratio of unstable to stable stiffness at the end of a search.
 const STIFFNESS_RATIO: f64 = 1.05;
 /// Amplitude of the tip when a wall is struck, encoder counts.
@@ -51,7 +51,7 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> RenderedWall {
+    fn rendered_wall(&self, kind: Estimator, cutoff_hz: f64) -> RenderedWall {
         RenderedWall {
             kind,
             cutoff_hz,
@@ -70,7 +70,7 @@ impl Comparison<'_> {
 pub struct Row {
     /// Name of the estimator in scene files.
     pub estimator: String,
-    /// Parameter of the estimator; `None` if it has none.
+    /// Parameter of the estimator; `None` without a parameter.
     pub value: Option<u32>,
     /// Cutoff, Hz; `None` if the estimator has none.
     pub cutoff_hz: Option<f64>,
@@ -92,11 +92,11 @@ pub struct Row {
 /// Difference of press ripples that counts as zero, N. A board's arithmetic and a hand vary by more.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Returns each estimator with its default parameter and with its longest window. For estimators whose cutoff is the
-/// bandwidth, adds a quarter, a sixteenth and a thirty-second of the cutoff. Omits optional low-passes.
+/// Returns each estimator with its default parameter and with its longest window. Estimators whose cutoff is the
+/// bandwidth also get a quarter, a sixteenth and a thirty-second of the cutoff. Omits optional low-passes.
 fn candidates(comparison: &Comparison<'_>) -> Vec<RenderedWall> {
     let mut results = Vec::new();
-    let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
+    let mut add = |kind, share| results.push(comparison.rendered_wall(kind, share * comparison.cutoff_hz));
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(usual)) = (kind.spec(), kind.chosen()) else {
             add(*kind, 1.0);
@@ -138,8 +138,8 @@ pub fn comparison_wall(
     .choose(Choice::Wall))
 }
 
-/// Compares all estimators. Those with at least the Butterworth's area that hold the hand come first, in ascending
-/// order of press ripple; the others follow in descending order of area.
+/// Compares all estimators. Estimators that hold the hand and have at least the Butterworth's area come first, in
+/// ascending order of press ripple; the others follow in descending order of area.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
@@ -167,7 +167,7 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
 /// Returns [`Row::ripple_n`] for one estimator, N.
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
     let sweep = Sweep::quiet();
-    Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
+    Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered_wall(kind, comparison.cutoff_hz))?.0)
 }
 
 struct Trials<'a> {
@@ -209,13 +209,13 @@ impl<'a> Trials<'a> {
     }
 
     /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule at evenly spaced dampings, until no wall
-    /// is quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
+    /// is quiet. `damping` (N s/m) is the largest damping that is predicted stable with the Butterworth.
     fn area(&self, wall: &RenderedWall, damping: f64) -> Result<f64, Failure> {
-        let step = damping * 1.25 / DAMPINGS as f64;
+        let step = damping * 1.25 / DAMPING_COUNT as f64;
         let (mut area, mut last) = (0.0, 0.0);
         let mut i = 1.0;
         // Estimators without lag are stable with more damping; five times the predicted damping is enough.
-        while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
+        while step > 0.0 && i <= 4.0 * DAMPING_COUNT as f64 {
             let most = self.largest_quiet_stiffness(&RenderedWall { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
             if most == 0.0 {
@@ -227,7 +227,7 @@ impl<'a> Trials<'a> {
         Ok(area)
     }
 
-    /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 if none does.
+    /// Returns the stiffness up to which every wall with this damping comes to rest, N/m; 0 if no wall comes to rest.
     fn largest_quiet_stiffness(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         // The smallest stiffness is large enough for the tip to swing back within the allowed time.
         let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&RenderedWall { stiffness, ..*wall });
@@ -255,7 +255,7 @@ impl<'a> Trials<'a> {
         self.sweep.check_interrupted()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
-        // Initial speed of the wall's own oscillation with this amplitude, at most that of a hand's strike.
+        // Initial speed of the wall's own oscillation with this amplitude, at most the speed of a hand's strike.
         let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
@@ -318,7 +318,7 @@ impl<'a> Trials<'a> {
     /// Returns the root mean square of the velocity error while the joints turn slowly and steadily, m/s.
     fn velocity_noise(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         let still = RenderedWall { stiffness: 0.0, damping: 0.0, ..*wall };
-        let velocities = self.simulation.velocity_estimates(&still, SLOW_SPEED, SLOW_S)?;
+        let velocities = self.simulation.velocity_estimates(&still, SLOW_SPEED, SLOW_MOTION_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
         Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }

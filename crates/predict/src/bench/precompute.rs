@@ -11,14 +11,14 @@ use nalgebra::SVector;
 
 /// A mass model with the values of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Precomputed {
+pub struct PrecomputedModel {
     /// The model as it is sent to the board.
     pub data: MassModelData,
     /// Table values, which are sent before the model; empty for other models.
     pub values: Vec<f32>,
 }
 
-impl Precomputed {
+impl PrecomputedModel {
     /// Returns the model's name in the instruction counts.
     pub fn name(&self) -> &'static str {
         match &self.data {
@@ -38,7 +38,7 @@ impl Precomputed {
 }
 
 /// Returns a frozen mass matrix: the mean of M over `probes`.
-pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
+pub fn frozen_model(device: &Device<f64>, probes: &[Probe]) -> PrecomputedModel {
     fn mean<M: Mechanism<f64, N>, const N: usize>(m: &M, probes: &[Probe]) -> [f32; 6] {
         let mut triangle = [0.0; 6];
         for probe in probes {
@@ -50,11 +50,11 @@ pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
         triangle.map(|entry| entry as f32)
     }
     let triangle = with_mechanism!(&device.mechanism, m => mean(m, probes));
-    Precomputed { data: MassModelData::Frozen(triangle), values: Vec::new() }
+    PrecomputedModel { data: MassModelData::Frozen(triangle), values: Vec::new() }
 }
 
 /// Returns the largest number of points per coordinate for which a square grid fits the board's memory.
-pub fn most_points(device: &Device<f64>) -> u8 {
+pub fn max_grid_points(device: &Device<f64>) -> u8 {
     let entries = device.mechanism.mass_entries().len();
     ((TABLE_VALUES / entries) as f64).sqrt().floor().min(255.0) as u8
 }
@@ -89,7 +89,7 @@ pub fn table(
     interpolation: Interpolation,
     points: [u8; 2],
     range: [[f64; 2]; 2],
-) -> Option<Precomputed> {
+) -> Option<PrecomputedModel> {
     fn tabulated_values<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
         let mut values = vec![0.0; grid.values(M::MASS_ENTRIES.len())];
         tabulate::<f64, Libm, M, N>(m, grid, |index, value| values[index] = value as f32);
@@ -108,5 +108,5 @@ pub fn table(
         spacing: grid.spacing.map(|spacing| spacing as f32),
     };
     let crc = checksum(&values);
-    Some(Precomputed { data: MassModelData::Table(grid, crc), values })
+    Some(PrecomputedModel { data: MassModelData::Table(grid, crc), values })
 }

@@ -88,7 +88,7 @@ fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SV
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
 
-/// Moves a pose onto the surface by Newton's method; returns `None` if it is more than a grid cell away.
+/// Moves a pose onto the surface by Newton's method; returns `None` if the surface is more than a grid cell away.
 fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,

@@ -5,7 +5,7 @@ use crate::bench::error::{
     ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
     errors, with_trigonometry,
 };
-use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Math;
@@ -62,7 +62,7 @@ pub struct Variant {
     pub errors: Errors,
     /// Errors without the fading that is common to all variants.
     #[serde(skip)]
-    pub given: Errors,
+    pub unfaded_errors: Errors,
     /// Sources of the errors.
     pub parts: ErrorSources,
     /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error.
@@ -90,8 +90,8 @@ fn law(device: &Device<f64>) -> Result<Law, Failure> {
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
-    let (points, range) = (most_points(device), range(device, &probes));
-    let mut models = vec![Precomputed::default(), frozen(device, &probes)];
+    let (points, range) = (max_grid_points(device), range(device, &probes));
+    let mut models = vec![PrecomputedModel::default(), frozen_model(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
@@ -118,7 +118,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     error_max: errors.whole.torque.max,
                     error_rms: errors.whole.torque.rms,
                     errors: errors.whole,
-                    given: errors.given,
+                    unfaded_errors: errors.unfaded_errors,
                     parts,
                     pareto: false,
                 };
@@ -135,9 +135,9 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// Returns the tip force error without common fading plus that of the tip's position at 20 kN/m, N.
+    /// Returns the tip force error without common fading, plus the error of the tip's position at 20 kN/m, N.
     pub fn tip_force_error(&self) -> f64 {
-        self.given.force.max + self.parts.tip
+        self.unfaded_errors.force.max + self.parts.tip
     }
 }
 
@@ -180,7 +180,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 }
 
 /// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
-pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+pub fn variant_table(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let head = "mechanism,device,trigonometry,mass matrix,terms,instructions,terms left out (N),left out in 90 % (N),\
                 mass matrix (N),rounding (N),tip (N),area (%),duty (steps),front";
     let mut text = csv_line(head.split(','));
@@ -204,12 +204,12 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
 /// Writes docs/results/speed-by-mechanism.csv, the numbers that do not depend on the variant: the tip motion per
 /// encoder count, the shares of situations in which the velocity terms fade or are off, and the instructions of a step
 /// with a wall and feed-forward for each velocity estimator with its longest window.
-pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
+pub fn mechanism_table(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));
     for (device, _) in every {
         let (probes, spec) = (probes(device), device.mechanism.kind().spec());
-        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
+        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading_shares(device, &probes));
         let mut cells = vec![
             spec.name.to_owned(),
             device.name.to_string(),

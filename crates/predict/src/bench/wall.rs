@@ -1,6 +1,6 @@
 //! Simulates one wall, rendered by the board's own control step, with a hand, a tap or a strike.
 //!
-//! Torques act half a carrier period late. They are not limited, because motors and limits are the same for all
+//! Torques act half a carrier period late, without limits, because motors and limits are the same for all
 //! estimators. [`super::estimators`] compares estimators by this simulation, and [`mod@crate::tune`] searches with it.
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
@@ -77,7 +77,7 @@ pub(super) enum Trial {
 pub struct SlideResult {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if the mean force differs from the hand's expected push by at most a tenth of it plus friction.
+    /// True if the mean force differs from the hand's expected push by at most a tenth of this push plus friction.
     pub holds: bool,
 }
 
@@ -85,8 +85,8 @@ pub struct SlideResult {
 #[derive(Clone)]
 pub struct WallSimulation {
     /// The device with the mass of a light hand at its tip.
-    held: Description,
-    alone: Description,
+    held_device: Description,
+    free_device: Description,
     board: Device<f32>,
     pub(super) encoders: Vec<EncoderModel>,
     around: Loop,
@@ -94,7 +94,7 @@ pub struct WallSimulation {
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
     /// Unit vector along the wall; zero if the task has one direction.
-    across: [f64; MAX_JOINTS],
+    tangent: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     pub(super) motion: [f64; MAX_JOINTS],
     /// Tip motion along the normal per count of the coarsest joint, m.
@@ -103,15 +103,15 @@ pub struct WallSimulation {
 
 impl WallSimulation {
     /// Prepares a simulation at a pose (rad) with a wall across the unit normal `normal` and a control rate (Hz). The
-    /// board models the device `believed`, and the device `moving` moves.
+    /// board uses `model`, and `device` is the simulated device.
     pub fn new(
-        believed: &Description,
-        moving: &Description,
+        model: &Description,
+        device: &Description,
         q: &[f64],
         normal: &[f64],
         rate_hz: f64,
     ) -> Result<Self, Failure> {
-        let encoders = believed.joints[..q.len()]
+        let encoders = model.joints[..q.len()]
             .iter()
             .map(|joint| joint.encoder.map(|encoder| EncoderModel::new(&encoder, encoder.offset)))
             .collect::<Option<Vec<_>>>()
@@ -119,22 +119,22 @@ impl WallSimulation {
                 Failure::wrong("the device has joints without [joint.encoder]")
                     .remedy("add the encoders: walls are simulated with their steps")
             })?;
-        let pose = TaskPose::at(believed, q)?.regular()?;
-        // Remove the device's home, because counts start at the encoders' offset in this simulation.
-        let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
-        let alone = *moving;
-        let mut held = alone;
-        held.handle_mass += LIGHT_HAND.mass;
+        let pose = TaskPose::at(model, q)?.regular()?;
+        // Removes the device's home, because counts start at the encoders' offset in this simulation.
+        let board = Device::<f32>::new("tried", &Description { home: None, ..*model }).map_err(Failure::wrong)?;
+        let free_device = *device;
+        let mut held_device = free_device;
+        held_device.handle_mass += LIGHT_HAND.mass;
         let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
-        let across = complement(&nalgebra::DVector::from_column_slice(normal));
+        let tangents = complement(&nalgebra::DVector::from_column_slice(normal));
         let count = per_count.fold(0.0, f64::max);
-        let mut pushed = plant(&alone, padded(q))?;
+        let mut pushed = plant(&free_device, padded(q))?;
         let tip = pushed.tip();
         pushed.push(padded(normal));
         Ok(Self {
-            held,
-            alone,
+            held_device,
+            free_device,
             board,
             encoders,
             // The loop has no estimator because the board's step estimates velocities.
@@ -146,7 +146,7 @@ impl WallSimulation {
             q: padded(q),
             normal: padded(normal),
             tip,
-            across: across.first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice())),
+            tangent: tangents.first().map_or([0.0; MAX_JOINTS], |tangent| padded(tangent.as_slice())),
             motion: pushed.qd(),
             count,
         })
@@ -154,13 +154,13 @@ impl WallSimulation {
 
     /// Returns this simulation with each encoder shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
-        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.shifted(share(j))).collect();
+        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.with_shifted_edges(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 
     /// Returns the largest force along the normal that dry friction holds, N.
     pub(super) fn friction(&self) -> f64 {
-        let joints = self.alone.joints;
+        let joints = self.free_device.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
@@ -214,7 +214,7 @@ impl WallSimulation {
         seen: impl FnMut(f64, f64) -> bool,
     ) -> Result<bool, Failure> {
         let alone = matches!(trial, Trial::Struck(_));
-        let mut plant = plant(if alone { &self.alone } else { &self.held }, self.q)?;
+        let mut plant = plant(if alone { &self.free_device } else { &self.held_device }, self.q)?;
         if let Trial::Struck(speed) | Trial::Tapped(speed) = trial {
             plant.push(self.normal.map(|n| -n * speed));
         }
@@ -223,9 +223,11 @@ impl WallSimulation {
         let grip = |time: f64| {
             let along = if trial == Trial::SlidAlong { SLIDE_SPEED * time } else { 0.0 };
             (!alone).then(|| Grip {
-                goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
+                goal: core::array::from_fn(|i| self.tip[i] + along * self.tangent[i]),
                 // A hand carries its own weight.
-                push: core::array::from_fn(|i| -hand_push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
+                push: core::array::from_fn(|i| {
+                    -hand_push(trial, time) * self.normal[i] - mass * self.free_device.gravity[i]
+                }),
             })
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
@@ -239,7 +241,7 @@ impl WallSimulation {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
         Scene {
-            task: self.alone.kind.spec().task as u8,
+            task: self.free_device.kind.spec().task as u8,
             rate_hz: self.around.rate_hz as f32,
             cutoff_hz: wall.cutoff_hz as f32,
             estimator: wall.kind,
@@ -297,13 +299,13 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
 struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],
-    before: [f32; MAX_JOINTS],
+    last_torque: [f32; MAX_JOINTS],
 }
 
 impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
     fn new(simulation: &'a WallSimulation, mechanism: M, scene: &Scene<f32>) -> Result<Self, Failure> {
         let controller = Controller::new(mechanism, &simulation.board, scene).map_err(Failure::wrong)?;
-        Ok(Self { controller, encoders: &simulation.encoders, before: [0.0; MAX_JOINTS] })
+        Ok(Self { controller, encoders: &simulation.encoders, last_torque: [0.0; MAX_JOINTS] })
     }
 
     fn counts(&self, q: &[f64; MAX_JOINTS]) -> [i32; N] {
@@ -313,8 +315,8 @@ impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
 
 impl<M: Mechanism<f32, N>, const N: usize> Law for BoardLaw<'_, M, N> {
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
-        let step = self.controller.step_with_torque(&self.before, &self.counts(measured));
-        self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
-        LawOutput { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
+        let step = self.controller.step_with_torque(&self.last_torque, &self.counts(measured));
+        self.last_torque = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
+        LawOutput { force: f64::from(step.wall_force), torque: self.last_torque.map(f64::from) }
     }
 }

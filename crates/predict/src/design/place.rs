@@ -1,12 +1,12 @@
 //! Best directions at a pose, and best places in the workspace.
 
-use super::{Stiffest, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
+use super::{StiffestWalls, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::{Choice, Failure};
 use haptic_sim::Random;
-use haptic_stability::analysis::map::{MapPoint, Reachable, along, map_point_at};
+use haptic_stability::analysis::map::{MapPoint, Reachable, effective_inertias, map_point_at};
 use haptic_stability::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
 use haptic_stability::analysis::prediction::Prediction;
 use haptic_stability::analysis::range::Range;
@@ -32,7 +32,7 @@ pub struct WallPlace {
     pub clearance: f64,
     /// The stiffest walls that are predicted stable at this place, if requested. For a patch they are in its middle.
     #[serde(flatten)]
-    pub walls: Option<Stiffest>,
+    pub walls: Option<StiffestWalls>,
 }
 
 /// The most notable directions at a pose.
@@ -40,7 +40,7 @@ pub struct WallPlace {
 pub struct Directions {
     /// The direction of the largest inertia, an axis of the tip's inertia, with the stiffest wall.
     pub stiffest: WallPlace,
-    /// The direction of the smallest inertia, with the softest wall. It is also an axis of the tip's inertia.
+    /// The direction of the smallest inertia, another axis of the tip's inertia, with the softest wall.
     pub softest: WallPlace,
     /// The direction in which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
@@ -80,13 +80,13 @@ impl WallPlace {
     /// Predicts the stiffest walls at this place.
     pub fn predict(&mut self, prediction: &Prediction) -> Result<Range, Failure> {
         let range = prediction.range(&self.q, &[Member::new(self.normal.clone(), 1.0)], None, None)?;
-        self.walls = Some(Stiffest { off: range.off.top, full: range.full.top });
+        self.walls = Some(StiffestWalls { off: range.off.top, full: range.full.top });
         Ok(range)
     }
 }
 
 fn place_wall(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<WallPlace> {
-    let (w_eff, w_rr) = along(pose, normal)?;
+    let (w_eff, w_rr) = effective_inertias(pose, normal)?;
     Some(WallPlace {
         q: q.to_vec(),
         position: pose.position.clone(),
@@ -162,16 +162,17 @@ fn search_best(
 #[derive(Clone, Copy)]
 struct Steps {
     /// First step, rad.
-    from: f64,
-    to: f64,
-    /// Number of random directions in addition to the compass directions. They are needed because a compass search does
-    /// not follow the edge of the allowed poses, where the best pose often lies.
+    first: f64,
+    /// Last step, rad.
+    last: f64,
+    /// Number of random directions in addition to the compass directions, which do not follow the edge of the allowed
+    /// poses, where the best pose often lies.
     random_directions: usize,
 }
 
-const COARSE_STEPS: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
+const COARSE_STEPS: Steps = Steps { first: 0.1, last: 0.01, random_directions: 30 };
 /// With 120 random directions the search reaches the best rating within 1 % (tool/tests/deep/tune/design.rs).
-const FINE_STEPS: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
+const FINE_STEPS: Steps = Steps { first: 0.05, last: 1e-5, random_directions: 120 };
 
 /// Climbs along compass and random directions with steps that halve.
 fn climb(
@@ -182,11 +183,11 @@ fn climb(
 ) -> Option<(f64, WallPlace)> {
     let (mut value, mut result) = rating(start)?;
     let mut q = start.to_vec();
-    let mut step = steps.from;
+    let mut step = steps.first;
     // The seed is fixed so that results are reproducible.
     let mut random = Random::new(1);
     let compass = 3_usize.pow(q.len() as u32);
-    while step > steps.to {
+    while step > steps.last {
         let mut better = None;
         for direction in 0..compass + steps.random_directions {
             let mut towards = |joint: usize| match direction < compass {
@@ -228,12 +229,12 @@ fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64
         .collect()
 }
 
-/// Searches the workspace from `points` grid poses on, where the singular sine is at least `clear`.
+/// Searches the poses whose singular sine is at least `min_sine`, from about `points` grid poses.
 pub fn places(
     description: &Description,
     normal: Option<&[f64]>,
     patch: f64,
-    clear: f64,
+    min_sine: f64,
     points: usize,
     admissible: Admissible,
     sweep: &Sweep,
@@ -243,7 +244,7 @@ pub fn places(
     let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
     let reachable = Reachable::of(&device, per_joint, None)?;
     let all: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
-    let least = clear.max(LEAST_ANALYSED_SINE);
+    let least = min_sine.max(LEAST_ANALYSED_SINE);
     let is_clear = |q: &[f64]| {
         within_limits(&device, q) && Stance::of(&device.mechanism, q).is_ok_and(|stance| stance.is_clear(least))
     };
@@ -253,7 +254,7 @@ pub fn places(
     let allowed = |q: &[f64]| is_clear(q) && reachable.is_on_reached_side(q);
     let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| is_clear(q)).collect();
     if poses.is_empty() {
-        return Err(Failure::impossible(format!("every pose is nearer to a singularity than a sine of {clear}"))
+        return Err(Failure::impossible(format!("every pose is nearer to a singularity than a sine of {min_sine}"))
             .remedy("choose a smaller sine")
             .choose(Choice::Clearance));
     }

@@ -1,16 +1,16 @@
 //! Postures of a redundant arm at one tip position, with the inertia of each.
 //!
 //! The arm moves along its null motion, a joint motion that keeps the tip in place, in both directions from the given
-//! posture. It stops near a joint limit or a singularity, or after a full turn. Weff depends on the posture. Wrr also
-//! depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this coordinate
-//! cannot be held; `clear` is the smallest allowed sine.
+//! posture. The motion ends near a joint limit or a singularity, or after a full turn. Weff depends on the posture. Wrr
+//! also depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this
+//! coordinate cannot be held; `min_sine` is the smallest allowed sine of the singular angle.
 
 use super::{angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::Failure;
-use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::map::effective_inertias;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use nalgebra::DVector;
 use serde::Serialize;
@@ -52,7 +52,7 @@ pub struct Postures {
 
 fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: Admissible) -> Option<Posture> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
-    let (w_eff, w_rr) = along(&pose, normal)?;
+    let (w_eff, w_rr) = effective_inertias(&pose, normal)?;
     Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
 }
 
@@ -61,7 +61,7 @@ pub fn postures(
     description: &Description,
     q: &[f64],
     normal: &[f64],
-    clear: f64,
+    min_sine: f64,
     admissible: Admissible,
 ) -> Result<Option<Postures>, Failure> {
     let spec = description.kind.spec();
@@ -76,13 +76,13 @@ pub fn postures(
     for direction in [ORIENTATION_STEP, -ORIENTATION_STEP] {
         let mut at = q.to_vec();
         let mut place = task_position(&start, q);
-        // Try at most a full turn of φ.
+        // Tries at most a full turn of φ.
         for _ in 0..(std::f64::consts::TAU / ORIENTATION_STEP) as usize {
             place[spec.task] += direction;
             let Some(next) = angles_at(&device, &at, &place) else { break };
             let is_far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
             let Some(result) = posture(&device, &next, &n, admissible) else { break };
-            if is_far || result.clearance < clear || !within_limits(&device, &next) {
+            if is_far || result.clearance < min_sine || !within_limits(&device, &next) {
                 break;
             }
             all.push(result);

@@ -6,7 +6,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint};
 use haptic_host::error::Failure;
 use haptic_stability::analysis::control_loop::{Loop, Mode};
-use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::map::effective_inertias;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::boundary_of;
@@ -15,7 +15,7 @@ use serde::Serialize;
 /// Relative change of each number, up and down.
 pub const CHANGE: f64 = 0.1;
 
-/// Properties of a changed device at the wall, relative to those of the unchanged device.
+/// Properties of a changed device at the wall, relative to the properties of the unchanged device.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
     /// Weff, the inertia without the feed-forward and in free motion.
@@ -167,21 +167,21 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Number of dampings on a boundary. They are evenly spaced shares of the largest damping, before and after a change.
-const DAMPINGS: usize = 40;
+/// Number of dampings on a boundary, evenly spaced shares of the largest damping, before and after a change.
+const DAMPING_COUNT: usize = 40;
 
 /// Computes the absolute properties of a device at a pose.
 fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     let (device, admissible) = (&prediction.subject.device, prediction.admissible);
     let linearised = prediction.linearise(q, normal).ok()?;
     let stiffest = |mode| {
-        let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
+        let shares = |end: f64| (0..DAMPING_COUNT).map(|i| end * (i as f64 + 0.5) / DAMPING_COUNT as f64).collect();
         let boundary = boundary_of(&linearised, &linearised, &prediction.around, mode, shares).ok()?;
         Some(boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
     };
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
     let n = unit_normal(normal, pose.task, q.len()).ok()?;
-    let (w_eff, w_rr) = along(&pose, &n)?;
+    let (w_eff, w_rr) = effective_inertias(&pose, &n)?;
     let steps = pose.jacobian.tr_mul(&n);
     let count = steps.iter().zip(&device.joints).map(|(lever, joint)| (lever * joint.radians_per_count).abs());
     let count = count.fold(0.0, f64::max);

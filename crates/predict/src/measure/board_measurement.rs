@@ -1,7 +1,7 @@
 //! A complete measurement of a board, with progress in a file and the board's settings restored afterwards.
 
-use super::before::Before;
 use super::campaign::{self, BOTH_SIDES, Plan};
+use super::earlier_settings::EarlierSettings;
 use super::progress::{Progress, ProgressError};
 use super::simulated::{Friction, World};
 use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
@@ -23,7 +23,7 @@ pub struct BoardMeasurement<'a> {
     /// The device file.
     pub file: &'a DeviceFile,
     /// The board's settings, which are restored afterwards.
-    pub before: Before,
+    pub before: EarlierSettings,
     /// The results so far.
     pub progress: &'a mut Progress,
     /// The file that keeps the results.
@@ -49,7 +49,7 @@ impl BoardMeasurement<'_> {
             save(self.progress, self.path)?;
         }
         let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
-        // Round as in the printed output, so that the theory uses the printed pose.
+        // Rounds as in the printed output, so that the theory uses the printed pose.
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
@@ -79,7 +79,7 @@ impl BoardMeasurement<'_> {
         match (self.progress.before.take(), self.path) {
             (None, _) | (_, None) => Ok(()),
             (Some(_), Some(path)) if !self.progress.is_empty() => self.progress.save(path),
-            // Remove a file without results.
+            // Removes a file without results.
             (Some(_), Some(path)) => std::fs::remove_file(path)
                 .map_err(|error| ProgressError::Unwritten(haptic_host::output::write_failure(path, &error))),
         }
@@ -90,10 +90,10 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed,
-/// those from before it. In the second case prints on standard error which settings are restored.
-pub fn settings_to_restore(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
-    let now = Before::of(board)?;
+/// Returns the settings to restore after a measurement: the present settings or, if an earlier measurement was killed,
+/// the settings from before that. In the second case prints on standard error which settings are restored.
+pub fn settings_to_restore(board: &mut Board, progress: &Progress) -> Result<EarlierSettings, BoardError> {
+    let now = EarlierSettings::of(board)?;
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
     if !now.is_of_interrupted_measurement() {
@@ -143,7 +143,7 @@ pub fn control_loop(setup: &MeasurementSetup, info: &Info, details: &Details) ->
 #[must_use]
 pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
-        // Remove the rounding error of the unit vector.
+        // Removes the rounding error of the unit vector.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
         format!("({})", rounded.collect::<Vec<_>>().join(", "))
     };
@@ -156,7 +156,7 @@ pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &
         })
         .collect();
     let along = each.join(" and ");
-    // Remove the rounding error of the multiplication.
+    // Removes the rounding error of the multiplication.
     let mm = |pull: &f64| ((setup.largest_pull * pull * 1e9).round() / 1e6).to_string();
     let mut pull_mm = match pulls == BOTH_SIDES {
         true => mm(&1.0),

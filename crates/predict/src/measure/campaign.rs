@@ -1,6 +1,6 @@
 //! A measurement campaign over feed-forwards, dampings and repeats.
 
-use super::progress::{Open, Point, Progress, median, same_damping};
+use super::progress::{Point, Progress, UnfinishedSearch, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 use haptic_bridge::render::scene::FeedForward;
@@ -37,7 +37,7 @@ impl Plan {
 
     /// Returns the repeats of a point by pull. Only repeats with the same pull are the same experiment.
     #[must_use]
-    pub fn by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
+    pub fn repeats_by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
         let of = |nth: usize| point.repeats.iter().copied().skip(nth).step_by(self.pulls.len()).collect::<Vec<_>>();
         let all = self.pulls.iter().enumerate().map(|(nth, pull)| (*pull, of(nth)));
         all.filter(|(_, repeats)| !repeats.is_empty()).collect()
@@ -46,7 +46,7 @@ impl Plan {
     /// Returns the stiffness that is stable at every pull, N/m: the lowest median over the pulls.
     #[must_use]
     pub fn stiffness_at_every_pull(&self, point: &Point) -> f64 {
-        self.by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
+        self.repeats_by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
     }
 
     /// Returns the points with a mode and, if the plan lists dampings, with a damping of this plan.
@@ -95,7 +95,7 @@ pub fn run(
                         end
                     }
                 };
-                // Spread the dampings inside the range, without its ends.
+                // Spreads the dampings inside the range, without its ends.
                 (0..plan.points).map(|i| end * (i as f64 + 0.5) / plan.points as f64).collect()
             }
         };
@@ -111,12 +111,12 @@ pub fn run(
                     match found {
                         Ok(found) => {
                             point.repeats.push(found.gain);
-                            if let Verdict::Vibrates(size) = found.beyond {
+                            if let Verdict::Vibrates(size) = found.verdict_beyond {
                                 point.vibration_m = Some(point.vibration_m.map_or(size, |other| other.max(size)));
                             }
                         }
                         Err(MeasureError::Open { stable, why }) => {
-                            point.open = Some(Open { stable_up_to: stable, reason: why.to_string() });
+                            point.open = Some(UnfinishedSearch { stable_up_to: stable, reason: why.to_string() });
                         }
                         Err(error) => return Err(error),
                     }

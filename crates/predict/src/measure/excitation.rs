@@ -7,9 +7,9 @@ use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
 use nalgebra::DVector;
 
-/// Usual share of the motors' force for a pull. The swing can grow to six times its size before they saturate.
+/// Usual share of the motors' force for a pull. The swing can grow to six times its size before the motors saturate.
 const USUAL_SHARE: f64 = 0.15;
-/// Largest share of the motors' force for a pull, used if friction requires more force.
+/// Largest share of the motors' force for a pull, if friction requires more than [`USUAL_SHARE`].
 const LARGEST_SHARE: f64 = 0.6;
 /// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and angular frequency
 /// w like a damper of 4 F / (π A w); at a ratio of 40 the damping force is a thirtieth of the spring's.
@@ -25,7 +25,7 @@ pub struct Excitation {
     /// Coulomb friction at the tip along the pull, N.
     pub friction: f64,
     /// Longest pull, m.
-    pub largest: f64,
+    pub longest_pull: f64,
 }
 
 impl Excitation {
@@ -37,7 +37,7 @@ impl Excitation {
         device: &Linearised,
         torques: &[DVector<f64>; 2],
         rules: &Rules,
-        largest: f64,
+        longest_pull: f64,
     ) -> Self {
         let joints = &file.description.joints[..device.row.len()];
         let (mut quantum, mut friction, mut force) = (0.0, 0.0, f64::INFINITY);
@@ -56,23 +56,23 @@ impl Excitation {
                 force = force.min(torque / lever);
             }
         }
-        Self { quantum, force, friction, largest }
+        Self { quantum, force, friction, longest_pull }
     }
 
     /// Returns the shortest pull that exceeds the motion by encoder steps, m.
     #[must_use]
-    pub fn smallest(&self) -> f64 {
+    pub fn shortest_pull(&self) -> f64 {
         ENCODER_STEPS * self.quantum
     }
 
     /// Returns the length of a pull against `stiffness` (N/m), m. `of` names the wall or hold for the error message.
     pub fn pull(&self, stiffness: f64, of: &'static str) -> Result<f64, MeasureError> {
-        let smallest = self.smallest();
+        let smallest = self.shortest_pull();
         if smallest * stiffness > self.force {
             return Err(MeasureError::Saturates { stiffness, of, pull: smallest, force: self.force });
         }
         let force = (LEAST_FRICTION_RATIO * self.friction).clamp(USUAL_SHARE * self.force, LARGEST_SHARE * self.force);
-        Ok(self.largest.min(force / stiffness).max(smallest))
+        Ok(self.longest_pull.min(force / stiffness).max(smallest))
     }
 }
 
@@ -88,7 +88,7 @@ pub fn millimetres(metres: f64) -> String {
 mod tests {
     use super::*;
 
-    const COARSE_ENCODERS: Excitation = Excitation { quantum: 30e-6, force: 1.6, friction: 0.0, largest: 5e-4 };
+    const COARSE_ENCODERS: Excitation = Excitation { quantum: 30e-6, force: 1.6, friction: 0.0, longest_pull: 5e-4 };
 
     #[test]
     fn pulls_fit_the_motors_and_exceed_encoder_steps() {

@@ -1,6 +1,6 @@
 //! A board prepared for a measurement: holds the tip, pulls it aside and follows its motion in the tested walls.
 
-use super::before::Before;
+use super::earlier_settings::EarlierSettings;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
 use super::walls::{ASIDE_DISTANCE, LONGEST_PULL, Layout, complement, scene};
@@ -26,12 +26,12 @@ const HOST_SECONDS: f32 = 1.0;
 const PULL_RANGE: (f64, f64) = (0.9, 1.15);
 const MAX_CORRECTIONS: usize = 16;
 
-/// Largest distance to which friction may hold the tip off, m. Beyond it the hold is made firmer.
+/// Largest distance to which friction may hold the tip off, m. Beyond this distance the hold is made firmer.
 const FRICTION_OFFSET: f64 = 5e-4;
 
 /// Angular frequency of a soft hold per control rate, rad/s per Hz.
 const SOFT_HOLD: f64 = 0.05;
-/// Largest angular frequency of a hold per control rate, rad/s per Hz: half that of the paper's stiffest wall.
+/// Largest angular frequency of a hold per control rate, rad/s per Hz: half the frequency of the paper's stiffest wall.
 const FIRM_HOLD: f64 = 0.2;
 
 /// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
@@ -47,7 +47,7 @@ const SWING_START: f64 = 2e-5;
 /// times the pull if friction brakes the joints unevenly.
 const LEFT_POSE_DISTANCE: f64 = 0.03;
 const MAX_RETRIES: usize = 2;
-/// Time that the user of a simulated device needs to bring it back to its pose, s.
+/// Time in which the user of a simulated device brings the device back to its pose, s.
 const CARRY_SECONDS: f64 = 3.0;
 
 /// Largest distance to which the tip is held aside, as a share of [`ASIDE_DISTANCE`].
@@ -72,14 +72,14 @@ pub struct PreparedBoard<'a> {
     /// Share of each tested wall in the gains, and true if the wall has the feed-forward.
     shares: Vec<(f64, bool)>,
     /// Force along the pull per newton of total stiffness times pull; 1 for one wall.
-    along: f64,
+    force_ratio: f64,
     /// Effective inertia along the pull, then along each direction across the pull, kg.
     inertia: Vec<f64>,
     /// Largest effective inertia at the tested walls, kg.
     heaviest: f64,
     /// Natural angular frequency of the hold, rad/s.
     hold_frequency: f64,
-    softened: usize,
+    softenings: usize,
     /// Joint motion per tip motion along each axis, N x d, rad/m.
     joint_per_tip_motion: DMatrix<f64>,
     excitation: Excitation,
@@ -87,7 +87,7 @@ pub struct PreparedBoard<'a> {
     /// Columns of the tip's position in a telemetry row.
     tip_columns: Vec<usize>,
     state_column: usize,
-    before: Before,
+    before: EarlierSettings,
 }
 
 impl<'a> PreparedBoard<'a> {
@@ -103,12 +103,12 @@ impl<'a> PreparedBoard<'a> {
         let q: Vec<f64> = status.q[..spec.joints].iter().map(|&v| f64::from(v)).collect();
         let tip = DVector::from_fn(spec.task, |i, _| f64::from(status.tip[i]));
         let set = WallSet::at(&file.description, &q, &setup.walls, setup.law.admissible)?;
-        let direction = set.between_stiffest().ok_or(PoseError::NoDirection)?;
+        let direction = set.middle_of_stiffest_directions().ok_or(PoseError::NoDirection)?;
         let across = complement(&direction);
         let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
-        // Keep the natural frequency of the hold well below the filter and the rate.
+        // Keeps the natural frequency of the hold well below the filter and the rate.
         let at_most = |share: f64| (share * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
         let mut hold_frequency = at_most(SOFT_HOLD);
         let mut inertia = Vec::new();
@@ -121,7 +121,7 @@ impl<'a> PreparedBoard<'a> {
             .filter_map(|feed_forward| set.effective_inertia(feed_forward))
             .fold(0.0, f64::max);
 
-        let before = Before::of(board)?;
+        let before = EarlierSettings::of(board)?;
         let rules = rules_for(before.rules(), setup.torque_limit);
         let device = Linearised::at(&file.description, &q, direction.as_slice())?;
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
@@ -132,9 +132,9 @@ impl<'a> PreparedBoard<'a> {
             hold_frequency = firmer.min(at_most(FIRM_HOLD)).max(hold_frequency);
         }
         if setup.law.may_lengthen_pull {
-            excitation.largest = excitation.largest.max(offset).min(LONGEST_PULL);
+            excitation.longest_pull = excitation.longest_pull.max(offset).min(LONGEST_PULL);
         }
-        // Leave the board unchanged if not even the soft hold can be measured.
+        // Leaves the board unchanged if not even the soft hold can be measured.
         excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold for this rate, cutoff and inertia")?;
 
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
@@ -150,14 +150,14 @@ impl<'a> PreparedBoard<'a> {
             interrupted,
             q,
             tip,
-            along: set.force(&direction).dot(&direction),
+            force_ratio: set.force(&direction).dot(&direction),
             direction,
             layout,
             shares,
             inertia,
             heaviest,
             hold_frequency,
-            softened: 0,
+            softenings: 0,
             joint_per_tip_motion: device
                 .flexible
                 .tip
@@ -207,12 +207,12 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Lowers the frequency of the hold, or returns false if it is the lowest.
+    /// Lowers the frequency of the hold, or returns false if the frequency is the lowest.
     fn soften(&mut self) -> bool {
-        if self.softened == MAX_SOFTENINGS {
+        if self.softenings == MAX_SOFTENINGS {
             return false;
         }
-        self.softened += 1;
+        self.softenings += 1;
         self.hold_frequency *= SOFTEN_FACTOR;
         true
     }
@@ -237,13 +237,13 @@ impl<'a> PreparedBoard<'a> {
         &self.excitation
     }
 
-    /// Returns the stiffness at which a search starts, that of the soft hold, N/m.
-    pub fn gentle_stiffness(&self) -> f64 {
+    /// Returns the stiffness of the soft hold, at which a search starts, N/m.
+    pub fn soft_hold_stiffness(&self) -> f64 {
         self.hold_gains().0
     }
 
-    /// Returns the damping at which a search starts, that of the soft hold, N s/m.
-    pub fn gentle_damping(&self) -> f64 {
+    /// Returns the damping of the soft hold, at which a search starts, N s/m.
+    pub fn soft_hold_damping(&self) -> f64 {
         self.hold_gains().1
     }
 
@@ -266,7 +266,7 @@ impl<'a> PreparedBoard<'a> {
         kd: f64,
         strength: f64,
     ) -> Result<Verdict, MeasureError> {
-        let (damped, gentle) = (kd * self.hold_frequency, self.gentle_stiffness());
+        let (damped, gentle) = (kd * self.hold_frequency, self.soft_hold_stiffness());
         let hardest = kp.max(damped).max(gentle);
         let of = match hardest {
             hardest if hardest == kp => "a tested wall",
@@ -274,7 +274,7 @@ impl<'a> PreparedBoard<'a> {
             _ => "the hold for this rate, cutoff and inertia",
         };
         let pull = self.excitation.pull(hardest, of)?;
-        let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(LONGEST_PULL);
+        let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.shortest_pull()).min(LONGEST_PULL);
         let (mut trips, mut left) = (0, 0);
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
@@ -298,7 +298,7 @@ impl<'a> PreparedBoard<'a> {
                 Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(LEFT_POSE_DISTANCE),
                 _ => Ok(()),
             };
-            // Return to the hold at once after any verdict.
+            // Returns to the hold at once after any verdict.
             self.hold(0.0)?;
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < MAX_RETRIES => {
@@ -363,7 +363,7 @@ impl<'a> PreparedBoard<'a> {
         self.wait(0.4)
     }
 
-    /// Arms the board. The user of a simulated device first brings it back.
+    /// Arms the board. The user of a simulated device first brings the device back.
     fn arm(&mut self) -> Result<(), MeasureError> {
         if !self.board.details()?.real {
             self.wait_in_any_state(CARRY_SECONDS)?;
@@ -443,7 +443,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`, softening the hold if needed. Returns its position, m.
+    /// Waits until the tip rests near `pull`, and softens the hold if needed. Returns the tip's position, m.
     fn rest_at(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.hold_until_still(pull) {
@@ -453,12 +453,12 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Holds the tip near `pull` (m) until it rests in all directions. Returns its position along the pull, m.
+    /// Holds the tip near `pull` (m) until the tip rests in all directions. Returns its position along the pull, m.
     fn hold_until_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
         // A motion within the encoder steps counts as rest.
-        let steps = self.excitation.smallest();
+        let steps = self.excitation.shortest_pull();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
         let started = self.board.now();
@@ -494,7 +494,7 @@ impl<'a> PreparedBoard<'a> {
     ) -> Result<(), MeasureError> {
         let (kp, _) = self.hold_gains();
         self.release()?;
-        self.set_tested_gains(kp / self.along, 0.0, feed_forward)?;
+        self.set_tested_gains(kp / self.force_ratio, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
         // Friction takes much of the soft pull's force, so a stiffer wall takes over almost at once and pulls the tip.
@@ -618,7 +618,7 @@ fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Returns true for faults that an oscillation causes and that can be cleared after it.
+/// Returns true for faults that an oscillation causes and that can be cleared afterwards.
 fn is_caused_by_oscillation(fault: Fault) -> bool {
     matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

@@ -1,6 +1,6 @@
-//! Results of a measurement so far. They are saved after every repeat, so an interrupted measurement can continue.
+//! Results of a measurement so far, saved after every repeat, so that an interrupted measurement can continue.
 
-use super::before::RestorePoint;
+use super::earlier_settings::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output::{self, Overwrite};
@@ -20,14 +20,14 @@ pub struct Point {
     /// Largest vibration just beyond the boundary, m from peak to peak; `None` if all motions grew.
     #[serde(default)]
     pub vibration_m: Option<f64>,
-    /// Reason why the search ended early; `None` if it did not.
+    /// Reason why the search ended early; `None` if the search found the boundary.
     #[serde(default)]
-    pub open: Option<Open>,
+    pub open: Option<UnfinishedSearch>,
 }
 
 /// A search that ended without a boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Open {
+pub struct UnfinishedSearch {
     /// Largest stable stiffness, N/m.
     pub stable_up_to: f64,
     /// Text of the error that ended the search.
@@ -140,7 +140,7 @@ impl Progress {
         Self { before: self.before, ..Self::new(what) }
     }
 
-    /// Reads the file of any measurement at `path`; returns `None` if it does not exist.
+    /// Reads the file of any measurement at `path`; returns `None` if the file does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
         match haptic_host::input::read_to_string(path) {
@@ -180,18 +180,18 @@ impl Progress {
 
     /// Returns the points of a mode with a boundary, in order of damping.
     pub fn of(&self, mode: FeedForward) -> Vec<&Point> {
-        self.all(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
+        self.points_of_mode(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
     }
 
     /// Returns the points of a mode with or without a boundary, in order of damping.
-    pub fn all(&self, mode: FeedForward) -> Vec<&Point> {
+    pub fn points_of_mode(&self, mode: FeedForward) -> Vec<&Point> {
         let mut found: Vec<&Point> =
             self.points.iter().filter(|p| p.mode == mode && !(p.repeats.is_empty() && p.open.is_none())).collect();
         found.sort_by(|a, b| a.kd.total_cmp(&b.kd));
         found
     }
 
-    /// Returns the point of a mode at a damping. Adds it if it does not exist.
+    /// Returns the point of a mode at a damping, after adding the point if it does not exist.
     pub fn point(&mut self, mode: FeedForward, kd: f64) -> &mut Point {
         let found = self.points.iter().position(|p| p.mode == mode && same_damping(p.kd, kd));
         let index = found.unwrap_or_else(|| {

@@ -5,7 +5,7 @@ use super::{MeasureError, PreparedBoard};
 use haptic_bridge::render::scene::FeedForward;
 
 /// Ratio of unstable to stable gain at which the search ends.
-pub const RESOLUTION: f64 = 1.005;
+pub const GAIN_RESOLUTION: f64 = 1.005;
 const RAISE_FACTOR: f64 = 1.3;
 const MAX_RAISES: usize = 60;
 
@@ -15,7 +15,7 @@ pub struct Boundary {
     /// Largest stable gain, N/m or N s/m.
     pub gain: f64,
     /// Motion of the tip just beyond the boundary: it grows, or continues as a vibration.
-    pub beyond: Verdict,
+    pub verdict_beyond: Verdict,
 }
 
 /// Returns the largest gain for which `judge` returns [`Verdict::Decays`], or 0 if a thousandth of `start` oscillates.
@@ -26,14 +26,14 @@ fn find_boundary(
     guess: Option<f64>,
     mut judge: impl FnMut(f64) -> Result<Verdict, MeasureError>,
 ) -> Result<Boundary, MeasureError> {
-    let (mut stable, mut beyond) = (0.0_f64, Verdict::Grows);
+    let (mut stable, mut verdict_beyond) = (0.0_f64, Verdict::Grows);
     let mut oscillates = |gain: f64| match judge(gain) {
         Ok(Verdict::Decays) => {
             stable = stable.max(gain);
             Ok(false)
         }
         Ok(verdict) => {
-            beyond = verdict;
+            verdict_beyond = verdict;
             Ok(true)
         }
         Err(why) if why.is_local() => Err(MeasureError::Open { stable, why: Box::new(why) }),
@@ -46,7 +46,7 @@ fn find_boundary(
         low /= step;
         step = (step * step).min(2.0);
         if low < start * 1e-3 {
-            return Ok(Boundary { gain: 0.0, beyond });
+            return Ok(Boundary { gain: 0.0, verdict_beyond });
         }
     }
     let mut high = low * raise;
@@ -59,11 +59,11 @@ fn find_boundary(
             return Err(MeasureError::Open { stable: low, why: Box::new(MeasureError::Unbounded) });
         }
     }
-    while high > low * RESOLUTION {
+    while high > low * GAIN_RESOLUTION {
         let middle = (low * high).sqrt();
         if oscillates(middle)? { high = middle } else { low = middle }
     }
-    Ok(Boundary { gain: (low * high).sqrt(), beyond })
+    Ok(Boundary { gain: (low * high).sqrt(), verdict_beyond })
 }
 
 impl PreparedBoard<'_> {
@@ -75,13 +75,13 @@ impl PreparedBoard<'_> {
         strength: f64,
         guess: Option<f64>,
     ) -> Result<Boundary, MeasureError> {
-        let start = self.gentle_stiffness();
+        let start = self.soft_hold_stiffness();
         find_boundary(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
     /// Measures the damping at which even a soft wall oscillates, N s/m.
     pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
-        let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
+        let (kp, start) = (0.02 * self.soft_hold_stiffness(), self.soft_hold_damping());
         find_boundary(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
     }
 }
@@ -100,8 +100,8 @@ mod tests {
         for edge in [0.4, 1.0, 7.3, 900.0] {
             for guess in [None, Some(edge * 1.2), Some(edge * 0.9)] {
                 let found = find_boundary(1.0, guess, vibrating(edge)).unwrap();
-                assert!((found.gain / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found:?}");
-                assert_eq!(found.beyond, Verdict::Vibrates(1e-4));
+                assert!((found.gain / edge - 1.0).abs() < GAIN_RESOLUTION - 1.0, "{edge}: {found:?}");
+                assert_eq!(found.verdict_beyond, Verdict::Vibrates(1e-4));
             }
         }
         assert_eq!(find_boundary(1.0, None, |_| Ok(Verdict::Grows)).unwrap().gain, 0.0);

@@ -35,9 +35,9 @@ pub struct World {
     pub grip: bool,
 }
 
-/// Number of simulation steps per control period. The torque is constant in a period, so more steps are not needed.
+/// Number of simulation steps per control period, enough because the torque is constant in a period.
 const STEPS: f64 = 100.0;
-/// Shortest and longest simulation step, s. The longest is half of a 20 kHz carrier period.
+/// Shortest and longest simulation step, s. The longest step is half of a 20 kHz carrier period.
 const STEP_RANGE_S: (f64, f64) = (2e-6, 2.5e-5);
 
 impl World {

@@ -43,7 +43,7 @@ const MIN_STRETCHES: usize = 8;
 const BENDING_TREND_FACTOR: usize = 16;
 /// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
+/// Number of standard errors by which a slope must differ from zero; large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
 const SIGNIFICANT_STANDARD_ERRORS: f64 = 4.0;
 /// Largest slope per swing of a motion with constant size, 0.4 % over one check.
@@ -76,7 +76,7 @@ pub struct Swing {
     position: Trace,
     /// Second difference of the position, m.
     acceleration: Trace,
-    previous: [Option<f64>; 2],
+    previous_positions: [Option<f64>; 2],
     /// Verdicts on the position and on the acceleration.
     verdicts: [Option<Verdict>; 2],
 }
@@ -101,7 +101,7 @@ impl Swing {
                 f64::INFINITY,
                 CHECKS_BEFORE_VIBRATION.1,
             ),
-            previous: [None; 2],
+            previous_positions: [None; 2],
             verdicts: [None; 2],
         }
     }
@@ -119,11 +119,11 @@ impl Swing {
         if self.verdicts[0].is_none() {
             self.verdicts[0] = self.position.add_position(position);
         }
-        // A decaying mode of the acceleration may hide a growing mode, so follow both signals to the end.
-        if let [Some(first), Some(second)] = self.previous {
+        // Follows both signals to the end, because a decaying mode of one signal may hide a growing mode.
+        if let [Some(first), Some(second)] = self.previous_positions {
             self.verdicts[1] = self.acceleration.add_position(position - 2.0 * second + first).or(self.verdicts[1]);
         }
-        self.previous = [self.previous[1], Some(position)];
+        self.previous_positions = [self.previous_positions[1], Some(position)];
         match self.verdicts {
             [Some(Verdict::Grows), _] | [_, Some(Verdict::Grows)] => Some(Verdict::Grows),
             // A vibration has the size of the position, not of the acceleration.
@@ -138,7 +138,7 @@ impl Swing {
 struct Trace {
     /// Coefficient per row of the high-pass's two low-passes.
     share: f64,
-    slow: Option<[f64; 2]>,
+    low_passes: Option<[f64; 2]>,
     /// Largest reversal that encoder steps can cause, m. A smaller reversal is no turning point.
     noise: f64,
     /// Largest motion from peak to peak that encoder steps can sustain, m.
@@ -173,7 +173,7 @@ impl Trace {
             checks,
             slowest,
             share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
-            slow: None,
+            low_passes: None,
             noise: 1.5 * quantum,
             encoder_motion: ENCODER_STEPS * quantum,
             pull,
@@ -197,7 +197,7 @@ impl Trace {
         if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST_OFFSET_M) {
             return Some(Verdict::Grows);
         }
-        let [first, second] = self.slow.get_or_insert([position, 0.0]);
+        let [first, second] = self.low_passes.get_or_insert([position, 0.0]);
         *first += self.share * (position - *first);
         let fast = position - *first;
         *second += self.share * (fast - *second);
@@ -209,7 +209,7 @@ impl Trace {
         {
             return Some(verdict);
         }
-        // The motion has ended if it has not turned for much longer than the average time between turns.
+        // The motion has ended if it has no turning point for much longer than the average time between turns.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
@@ -238,7 +238,7 @@ impl Trace {
     }
 
     /// Returns the size below which a reversal is the ripple of a faster mode, m. The size falls over the time without
-    /// a turning point, so that a small mode is found after a large one has decayed.
+    /// a turning point, so that a small mode is found after a large mode has decayed.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
         RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.rows_per_turn())).exp2()
@@ -260,12 +260,12 @@ impl Trace {
         if count > SWINGS_PER_CHECK / 2 && small(&self.swings[count - SWINGS_PER_CHECK / 2..]) {
             return Some(Verdict::Decays);
         }
-        // Check the trend whenever half of its swings are new.
+        // Checks the trend whenever half of its swings are new.
         let seen = count.checked_sub(IGNORED_TURNS + SWINGS_PER_CHECK)?;
         if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
-        // Compare extents, because swings also become longer when a fast ripple decays and no longer splits them.
+        // Compares extents, because swings also become longer when a fast ripple decays and no longer splits them.
         let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;
@@ -287,11 +287,11 @@ impl Trace {
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
         // A motion whose trend bends, or that rises in a beat, has no constant size.
         self.verdict_of_trend(latest, larger)
-            .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
+            .or_else(|| (!patient || !is_significant(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts
-    /// at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and
+    /// lasts at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), IGNORED_TURNS);
         for at in IGNORED_TURNS..self.swings.len() {
@@ -307,7 +307,7 @@ impl Trace {
     /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
-        let sure = is_sure((slope, error));
+        let sure = is_significant((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
         if sure && slope > 0.0 && larger && self.size() > self.encoder_motion {
             return Some(Verdict::Grows);
@@ -344,7 +344,7 @@ fn largest(swings: &[f64]) -> f64 {
 }
 
 /// Returns true if a slope with this standard error differs from zero.
-fn is_sure((slope, error): (f64, f64)) -> bool {
+fn is_significant((slope, error): (f64, f64)) -> bool {
     slope.abs() > FLAT_SLOPE.max(SIGNIFICANT_STANDARD_ERRORS * error)
 }
 

@@ -7,12 +7,12 @@ use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
 use nalgebra::DVector;
 
-/// Distance from the wall that holds the tip to each wall that pulls it aside, m. It exceeds every pull.
+/// Distance from the wall that holds the tip to each wall that pulls the tip aside, m; longer than every pull.
 pub const ASIDE_DISTANCE: f64 = 0.01;
 /// Longest pull, m.
 pub const LONGEST_PULL: f64 = 0.5 * ASIDE_DISTANCE;
 
-/// Indices of the walls that hold the tip. They follow the tested walls; a single tested wall also holds the tip.
+/// Indices of the walls that hold the tip, which follow the tested walls. A single tested wall also holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
     /// Wall at the position of the tip, normal to the pulls.
@@ -30,9 +30,9 @@ impl Layout {
     }
 }
 
-/// Returns the maximum number of walls that can be tested together: those of a scene minus the holding walls.
+/// Returns the maximum number of walls that can be tested together: the walls of a scene minus the holding walls.
 #[must_use]
-pub fn most_tested(task: usize) -> usize {
+pub fn max_tested_walls(task: usize) -> usize {
     MAX_WALLS - 2 - task
 }
 
@@ -118,7 +118,7 @@ pub fn scene(
             bilateral: true,
         };
         scene.walls.push(wall).map_err(|_| {
-            let most = most_tested(tip.len());
+            let most = max_tested_walls(tip.len());
             MeasureError::Scene(format!(
                 "{} walls cannot be measured at once: this device allows at most {most}",
                 setup.walls.len()

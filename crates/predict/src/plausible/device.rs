@@ -20,15 +20,15 @@ use nalgebra::{DMatrix, DVector, SVector};
 const STEEL_DENSITY: f64 = 7850.0;
 /// Plausible lengths of links, m, from desktop devices to exoskeletons.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
-/// Smallest implausible joint inertia, kg m²: that of 20 kg at 10 cm, typical of machine tools.
+/// Smallest implausible joint inertia, kg m²: the inertia of 20 kg at 10 cm, typical of machine tools.
 const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
-/// Fewest plausible counts per turn at the joint. A smaller number is probably lines before x4 decoding and the gear
-/// ratio; encoders of devices that render walls have at least 700 counts.
+/// Fewest plausible counts per turn at the joint. A smaller number is probably a count of lines without x4 decoding and
+/// gear ratio; encoders of devices that render walls have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
 /// Largest plausible resistance times inertia over the torque constant squared, s. Motors have 2 to 30 ms whatever the
 /// gear. The value is too large by the ratio squared if only the torque constant lacks the gear ratio.
 const LARGEST_MOTOR_TIME_S: f64 = 0.25;
-/// Largest plausible twist of a transmission by its motor, rad. Cables and belts twist by hundredths.
+/// Largest plausible twist of a transmission by its motor, rad. Cables and belts twist by hundredths of a radian.
 const LARGEST_WIND_UP: f64 = 0.1;
 /// Largest plausible product of resistance and largest current, V. The boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
@@ -47,14 +47,14 @@ fn key(table: &'static str, index: Option<usize>, part: &'static str, name: &'st
 pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     let (description, spec) = (&file.description, file.spec());
     let mut warnings = length_warnings(description);
-    let longest = longest(description);
+    let longest = longest_length(description);
     let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
     for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
         let place = format!("[[link]] {index} ({})", spec.links[index]);
         warnings.extend(link_warnings(link, index, &place, longest, heaviest));
     }
     if description.handle_mass > heaviest {
-        warnings.push(too_heavy(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
+        warnings.push(mass_warning(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
         warnings.extend(joint_warnings(joint, index, description.kind));
@@ -90,7 +90,7 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
     Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
 }
 
-fn longest(description: &Description) -> f64 {
+fn longest_length(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
 
@@ -121,7 +121,7 @@ fn length_warnings(description: &Description) -> Vec<FileWarning> {
     warnings
 }
 
-fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> FileWarning {
+fn mass_warning(at: Key, place: &str, mass: f64, heaviest: f64) -> FileWarning {
     let text = format!(
         "{place} weighs {mass} kg, more than a steel cube half as wide as the longest link ({}): masses are in kg \
          ({mass} g are {} kg)",
@@ -136,7 +136,7 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
     let at = |name| key("link", Some(index), "", name);
     let mut warnings = Vec::new();
     if link.mass > heaviest {
-        warnings.push(too_heavy(at("mass"), place, link.mass, heaviest));
+        warnings.push(mass_warning(at("mass"), place, link.mass, heaviest));
     }
     if link.com.abs() > 2.0 * longest {
         let text = format!(
@@ -380,8 +380,8 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
 /// Returns the largest force of the motors at a pose along their weakest and their strongest direction, N. The force
 /// acts only along this direction; a redundant device makes no moment at the tip.
 ///
-/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point is on one of the joints'
-/// faces. Its farthest is a corner, at which as many joints as directions give their largest torque.
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point is on the face of one
+/// joint. Its farthest point is a corner, at which as many joints as directions have their largest torque.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);

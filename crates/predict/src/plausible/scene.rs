@@ -1,4 +1,4 @@
-//! Warnings about a scene on a device: walls, springs and fields that it cannot reach or render stably.
+//! Warnings about a scene on a device: walls, springs and fields that the device cannot reach or render stably.
 
 use super::{FileWarning, Key};
 use crate::bench::probe::on_surface;
@@ -32,7 +32,7 @@ use std::convert::Infallible;
 
 /// Hand speed at which a wall's damping alone should not need all of the motors' torque, m/s.
 const SLOW_HAND_SPEED: f64 = 0.1;
-/// Largest force change by one count without a warning, N. Its ripple is half of it (docs/encoder-steps.md).
+/// Largest force change by one count without a warning, N. The ripple is half of this change (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
 /// Largest stiffness that a hand cannot feel, N/m.
 const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
@@ -184,7 +184,7 @@ fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Op
     Some(warnings)
 }
 
-/// Warns of a posture that the device cannot hold, or whose sampled spring is unstable.
+/// Warns of a posture that the device cannot hold, and of an unstable spring of the posture.
 fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<FileWarning> {
     let (device, posture) = (&subject.device, scene.posture?);
     let key = |name| Key { table: "posture", index: None, part: "", name };
@@ -232,7 +232,7 @@ pub fn contact_limits(
     path: &TorquePath,
 ) -> Option<Contact> {
     let (device, wall) = (&subject.device, scene.walls.get(index)?);
-    // Round the values as the options print them.
+    // Rounds the values as the options print them.
     let rounded = |values: &[f64]| values.iter().map(|value| round_as_printed(*value)).collect::<Vec<_>>();
     let (q, normal) = (rounded(q), rounded(normal));
     let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
@@ -253,7 +253,7 @@ pub fn contact_limits(
         let swing = oscillation(&held, &prediction.around, mode, stiffness, wall.damping).ok().flatten();
         swing.filter(Oscillation::grows)
     };
-    // Use a stiffness just beyond the boundary, where the oscillation grows.
+    // Uses a stiffness just beyond the boundary, where the oscillation grows.
     let beyond = in_hand.map_or(0.0, |held| 1.001 * held.stable_to);
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
@@ -266,8 +266,8 @@ pub fn contact_limits(
         stiffness: wall.stiffness,
         stable_to,
         off_to,
-        felt_to: linearised.felt(mode, stable_to),
-        felt: linearised.felt(mode, wall.stiffness),
+        felt_to: linearised.felt_stiffness(mode, stable_to),
+        felt: linearised.felt_stiffness(mode, wall.stiffness),
         damping_to,
         in_hand,
         hz: buzz(wall.stiffness.max(beyond)).map(|swing| swing.hz),
@@ -356,7 +356,7 @@ pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<
         warnings.push(warning("damping", text));
     } else if wall.stiffness > contact.stable_to && contact.stable_to < IMPERCEPTIBLE_STIFFNESS {
         let text = format!(
-            "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
+            "no stiffness of wall {index} is predicted stable with {} of damping (the wall has {}); write a damping of up to \
              {} (`haptic range DEVICE {}`)",
             with_unit(wall.damping, "N s/m"),
             with_unit(wall.stiffness, "N/m"),
@@ -447,7 +447,7 @@ fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest useful wall, that of a light hand, N/m.
+/// Stiffness of the softest useful wall, the stiffness of a light hand, N/m.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
 /// Ripple of a wall under a hand, by the simulation that `haptic tune` uses.
@@ -455,7 +455,7 @@ pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 pub struct Ripple {
     /// Root mean square of the force above 20 Hz while a hand slides along the wall, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// Allowed ripple, N: [`USUAL_RIPPLE_N`], or the smallest ripple that the encoders allow if it is larger.
+    /// Allowed ripple, N: [`USUAL_RIPPLE_N`], or the smallest ripple that the encoders allow if that is larger.
     pub allowed_n: f64,
 }
 
@@ -463,7 +463,7 @@ pub struct Ripple {
 pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
     let wall = Settings::of(scene, contact.wall)?;
     let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
-    let of = |wall: Settings| simulation.slide(&wall.rendered(scene.admissible), f64::INFINITY).ok();
+    let of = |wall: Settings| simulation.slide(&wall.rendered_wall(scene.admissible), f64::INFINITY).ok();
     let ripple_n = of(wall)?.ripple_n;
     if ripple_n.is_some_and(|ripple| ripple <= USUAL_RIPPLE_N) {
         return Some(Ripple { ripple_n, allowed_n: USUAL_RIPPLE_N });
@@ -542,7 +542,7 @@ fn two_digits(ratio: f64) -> String {
 enum FirstTouch {
     /// The tip touches the surface at these joint angles (rad), where the surface has this normal.
     At(Vec<f64>, Vec<f64>),
-    /// The tip cannot touch the surface. It stays outside by at least this distance, m; `None` if it stays inside.
+    /// The tip stays outside the surface by at least this distance, m; `None` if the tip stays inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,
@@ -582,7 +582,7 @@ fn tip_distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f
 fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;
-    // Skip the search for the tip's range at depths that every device reaches.
+    // Skips the search for the tip's range at depths that every device reaches.
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }

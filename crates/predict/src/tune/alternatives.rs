@@ -1,7 +1,7 @@
 //! Results with the feed-forwards that were not chosen.
 
 use super::criteria::SearchContext;
-use super::{Settings, TunedWall, ripple, stiffest};
+use super::{Settings, TunedWall, ripple, stiffest_wall};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use serde::Serialize;
@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct Alternative {
     /// The feed-forward.
     pub feed_forward: FeedForward,
-    /// The stiffest wall with this feed-forward; `None` if it is much softer or breaks a limit.
+    /// The stiffest wall with this feed-forward; `None` if that wall is much softer or breaks a limit.
     pub best: Option<TunedWall>,
     /// Largest stiffness within margins and motors with the chosen wall's rate, estimator, cutoff and damping, N/m.
     pub allowed: f64,
@@ -38,7 +38,7 @@ pub(super) fn alternatives(
                 ..result.settings
             };
             let allowed = context.largest_stiffness(&settings)?;
-            let best = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == feed_forward));
+            let best = stiffest_wall(all.iter().filter(|candidate| candidate.settings.feed_forward == feed_forward));
             Ok(Alternative { feed_forward, best, allowed, ripple_n: ripple(context.question, &settings)?.ripple_n })
         })
         .collect()

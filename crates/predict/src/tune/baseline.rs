@@ -9,7 +9,7 @@ use serde::Serialize;
 /// The scene's wall with the largest stiffness that meets all criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
-    /// Settings of the scene's wall, with the largest stiffness that meets all criteria; 0 if none does.
+    /// Settings of the scene's wall, with the largest stiffness that meets all criteria; 0 without such a stiffness.
     #[serde(flatten)]
     pub settings: Settings,
     /// Stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
@@ -53,7 +53,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let passes = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !passes(&best) {
-        // Reduce the stiffness until the wall meets the criteria, but not below the scene's own if that meets them.
+        // Lowers the stiffness until the wall meets the criteria, but not below a stiffness of the scene that is enough.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;
@@ -75,7 +75,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let nothing = Settings { stiffness: 0.0, ..*written };
     Ok(Baseline {
         settings: best.map_or(nothing, |best| best.settings),
-        felt: best.and_then(|best| context.felt(&best.settings)),
+        felt: best.and_then(|best| context.felt_stiffness(&best.settings)),
         ripple_n: best.map(|best| best.ripple_n),
         within_margins: most,
         as_written: written.stiffness,

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// rebound as hardness, and more as rattling.
 pub const MAX_REBOUNDS: usize = 1;
 
-const DAMPINGS: usize = 9;
+const DAMPING_COUNT: usize = 9;
 /// Largest damping of a curve, as a share of the largest stable damping.
 const HIGHEST_SHARE: f64 = 0.9;
 /// Smallest damping of a curve, as a share of the largest.
@@ -34,9 +34,9 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<SlideResul
 fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<SlideResult, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
     let mut worst = SlideResult { ripple_n: Some(0.0), holds: true };
-    for (believed, moving) in margins.deviations(&file.description) {
-        let simulation = WallSimulation::new(&believed, &moving, q, normal, settings.rate_hz)?;
-        let result = simulation.slide(&settings.rendered(*admissible), bound_n)?;
+    for (model, device) in margins.deviations(&file.description) {
+        let simulation = WallSimulation::new(&model, &device, q, normal, settings.rate_hz)?;
+        let result = simulation.slide(&settings.rendered_wall(*admissible), bound_n)?;
         worst.ripple_n = worst.ripple_n.zip(result.ripple_n).map(|(one, other)| one.max(other));
         worst.holds &= result.holds;
         if worst.ripple_n.is_none_or(|ripple| ripple > bound_n) {
@@ -52,7 +52,7 @@ pub fn accepted_wall(question: &Question<'_>, settings: &Settings) -> Result<Opt
     let context = SearchContext::new(question, &sweep)?;
     let kept =
         if context.largest_stiffness(settings)? < settings.stiffness { None } else { context.check_all(settings)? };
-    Ok(kept.map(|wall| TunedWall { felt: context.felt(settings), ..wall }))
+    Ok(kept.map(|wall| TunedWall { felt: context.felt_stiffness(settings), ..wall }))
 }
 
 /// A request, with the values that all candidates share.
@@ -66,7 +66,7 @@ pub(super) struct SearchContext<'a> {
     pub motor_limits: (f64, f64),
     /// Stiffness at which encoder steps alone cause the allowed ripple, N/m. Rule of thumb: the tip moves evenly, and
     /// each joint's error is independent with a standard deviation of 1/√12 of its step. A tip that follows the steps,
-    /// or that friction holds between two, ripples less.
+    /// or that friction holds between two steps, ripples less.
     pub rule_of_thumb_stiffness: f64,
 }
 
@@ -116,8 +116,8 @@ impl<'a> SearchContext<'a> {
     }
 
     /// Returns the stiffness that a hand feels, N/m; `None` if no transmission is compliant.
-    pub fn felt(&self, settings: &Settings) -> Option<f64> {
-        self.nominal.felt(settings.mode(), settings.stiffness)
+    pub fn felt_stiffness(&self, settings: &Settings) -> Option<f64> {
+        self.nominal.felt_stiffness(settings.mode(), settings.stiffness)
     }
 
     fn corners(&self, settings: &Settings) -> &[Corner] {
@@ -132,11 +132,11 @@ impl<'a> SearchContext<'a> {
         let stiffness = 0.25 * self.rule_of_thumb_stiffness.min(self.motor_limits.0);
         let least_damping = 2.0 * LEAST_DAMPING_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
         let points =
-            boundary_of(&corner.device, &corner.believed, &corner.adjusted_loop(&around), settings.mode(), |end| {
+            boundary_of(&corner.device, &corner.model, &corner.adjusted_loop(&around), settings.mode(), |end| {
                 let high = (HIGHEST_SHARE * end).min(self.motor_limits.1);
                 let low = least_damping.max(LOWEST_SHARE * high).min(0.5 * high);
-                let share = |i: usize| (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
-                let mut dampings: Vec<f64> = (0..DAMPINGS).map(|i| three_digits(low * share(i), true)).collect();
+                let share = |i: usize| (high / low).powf(i as f64 / (DAMPING_COUNT - 1) as f64);
+                let mut dampings: Vec<f64> = (0..DAMPING_COUNT).map(|i| three_digits(low * share(i), true)).collect();
                 dampings.retain(|damping| *damping > 0.0);
                 dampings
             });
@@ -155,7 +155,7 @@ impl<'a> SearchContext<'a> {
         for corner in self.corners(settings) {
             self.sweep.check_interrupted()?;
             let around = corner.adjusted_loop(&around);
-            match stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), dampings) {
+            match stiffnesses(&corner.device, &corner.model, &around, settings.mode(), dampings) {
                 Ok(result) => least.iter_mut().zip(result).for_each(|(least, result)| *least = least.min(result)),
                 Err(_) => return Ok(None),
             }
@@ -180,7 +180,7 @@ impl<'a> SearchContext<'a> {
     pub fn passes_tap(&self, settings: &Settings) -> Result<bool, Failure> {
         let Question { file, q, normal, admissible, .. } = self.question;
         let simulation = WallSimulation::new(&file.description, &file.description, q, normal, settings.rate_hz)?;
-        let rebounds = simulation.rebounds(&settings.rendered(*admissible))?;
+        let rebounds = simulation.rebounds(&settings.rendered_wall(*admissible))?;
         Ok(rebounds.is_some_and(|rebounds| rebounds <= MAX_REBOUNDS))
     }
 

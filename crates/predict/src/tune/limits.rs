@@ -18,8 +18,8 @@ const MARGINS_LIMIT: &str = "all margins together";
 const MOTORS_LIMIT: &str = "motors and encoder counts";
 /// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
-/// Factors on the wall's stiffness at which the simulated board is checked. They are few because the board is slow.
-const CHECKED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
+/// Factors on the wall's stiffness at which the simulated board is checked; few because the board is slow.
+const CHECKED_FACTORS_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
 /// Name of a value that is listed for reference and is not a limit.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
@@ -35,7 +35,7 @@ pub struct Limit {
     pub felt: Option<f64>,
 }
 
-/// A wall with slightly different gains than the chosen one.
+/// A wall with slightly different gains than the chosen wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NeighbourWall {
     /// Stiffness, N/m.
@@ -61,7 +61,7 @@ pub(super) fn limits(
     let question = context.question;
     let mut limits = Vec::new();
     let mut push = |limit, stiffness: Option<f64>| {
-        let felt = stiffness.and_then(|stiffness| context.felt(&Settings { stiffness, ..*settings }));
+        let felt = stiffness.and_then(|stiffness| context.felt_stiffness(&Settings { stiffness, ..*settings }));
         limits.push(Limit { limit, stiffness, felt });
     };
     for (limit, margins) in question.margins.named_margins() {
@@ -70,7 +70,7 @@ pub(super) fn limits(
         let mut least = f64::INFINITY;
         for corner in corners {
             let around = corner.adjusted_loop(&around);
-            let result = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
+            let result = stiffnesses(&corner.device, &corner.model, &around, settings.mode(), &[settings.damping]);
             match result {
                 Err(AnalysisError::Unbounded) => {}
                 result => least = least.min(result?[0]),
@@ -85,7 +85,7 @@ pub(super) fn limits(
     push(REBOUNDS_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
     if let Some(bound) = question.board_ripple_n {
         let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
-        push(ON_BOARD_LIMIT, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
+        push(ON_BOARD_LIMIT, largest_passing(settings, &CHECKED_FACTORS_ON_BOARD, &passes_on_board)?);
     }
     push(RULE_OF_THUMB, Some(context.rule_of_thumb_stiffness));
     let active = first_limit(&limits, settings, context.motor_limits.1);

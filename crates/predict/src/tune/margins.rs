@@ -54,7 +54,7 @@ impl Default for Margins {
 #[derive(Clone, Debug)]
 pub(super) struct Corner {
     pub device: Linearised,
-    pub believed: Linearised,
+    pub model: Linearised,
     delay_s: f64,
 }
 
@@ -100,7 +100,7 @@ fn scale_part(description: &Description, part: usize, factor: f64) -> Descriptio
 
 /// Returns the description with each link, each rotor and the handle changed by `share`. Each change reduces (or, if
 /// `heavier`, increases) the effective inertia of a wall along `normal` with a controller that uses the file.
-pub fn vertex(
+pub fn extreme_device(
     description: &Description,
     q: &[f64],
     normal: &[f64],
@@ -109,9 +109,9 @@ pub fn vertex(
     share: f64,
     heavier: bool,
 ) -> Result<Description, PoseError> {
-    let believed = Linearised::holding(description, q, normal, admissible)?;
-    let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
-    let nominal = inertia_along(&believed, &torque);
+    let model = Linearised::holding(description, q, normal, admissible)?;
+    let torque = if shaped { model.shaped_torque() } else { model.row.clone() };
+    let nominal = inertia_along(&model, &torque);
     let spec = description.kind.spec();
     let mut result = *description;
     for part in 0..spec.links.len() + spec.joints + 1 {
@@ -141,18 +141,18 @@ impl Margins {
             .remedy("write a gain from 1 to 10, a delay up to 0.01 s, and errors from 0 to 0.9"))
     }
 
-    /// Returns the devices on which a wall must meet its ripple limit, each as the board models it and as it moves: a
-    /// light one with little friction and coarse counts, on which most walls ripple most; that of the file; and the
-    /// opposite. The board knows its counts but not its mass and friction.
+    /// Returns the devices on which a wall must meet its ripple limit: a light device with little friction and coarse
+    /// counts, on which most walls ripple most; the device of the file; and the opposite of the light device. Each is a
+    /// pair of the board's model, which knows the counts but not mass and friction, and the real device.
     pub(super) fn deviations(self, description: &Description) -> Vec<(Description, Description)> {
         let Self { mass, friction, counts, .. } = self;
         let deviation = |sign: f64| {
-            let mut believed = *description;
-            for encoder in believed.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
+            let mut model = *description;
+            for encoder in model.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
                 encoder.counts_per_turn *= 1.0 + sign * counts;
             }
             let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
-            let mut moving = (0..parts).fold(believed, |moving, part| scale_part(&moving, part, 1.0 + sign * mass));
+            let mut moving = (0..parts).fold(model, |moving, part| scale_part(&moving, part, 1.0 + sign * mass));
             for joint in &mut moving.joints {
                 joint.viscous *= 1.0 + sign * friction;
                 joint.coulomb *= 1.0 + sign * friction;
@@ -160,7 +160,7 @@ impl Margins {
                     rest.rest *= 1.0 + sign * friction;
                 }
             }
-            (believed, moving)
+            (model, moving)
         };
         let signs: &[f64] = if [mass, friction, counts] == [0.0; 3] { &[0.0] } else { &[-1.0, 0.0, 1.0] };
         signs.iter().map(|sign| deviation(*sign)).collect()
@@ -180,7 +180,7 @@ impl Margins {
         ]
     }
 
-    /// Returns the loops that must be stable: light and strong, then heavy and weak, then those in hands.
+    /// Returns the devices on which a wall must be stable: light and strong, then heavy and weak, then in hands.
     pub(super) fn corners(
         self,
         description: &Description,
@@ -189,9 +189,9 @@ impl Margins {
         admissible: Admissible,
         shaped: bool,
     ) -> Result<Vec<Corner>, Failure> {
-        let believed = Linearised::holding(description, q, normal, admissible)?;
+        let model = Linearised::holding(description, q, normal, admissible)?;
         let corner = |heavier: bool| -> Result<Corner, Failure> {
-            let other = vertex(description, q, normal, admissible, shaped, self.inertia, heavier)?;
+            let other = extreme_device(description, q, normal, admissible, shaped, self.inertia, heavier)?;
             let mut device = Linearised::holding(&other, q, normal, admissible)?;
             let gain = if heavier { self.gain } else { 1.0 / self.gain };
             let mass = if heavier { 1.0 + self.mass } else { 1.0 - self.mass };
@@ -202,10 +202,10 @@ impl Margins {
                 transmission.damping *= gain;
                 transmission.motor_inertia *= gain * mass;
             }
-            let mut believed = believed.clone();
+            let mut model = model.clone();
             // Damping has no margin because no wall tolerates compensation that exceeds the real damping.
-            believed.viscous.clone_from(&device.viscous);
-            Ok(Corner { device, believed, delay_s: self.delay_s })
+            model.viscous.clone_from(&device.viscous);
+            Ok(Corner { device, model, delay_s: self.delay_s })
         };
         let mut corners = vec![corner(false)?];
         if (Self { delay_s: 0.0, friction: 0.0, counts: 0.0, hand: false, ..self }) != Self::NONE {
@@ -213,8 +213,8 @@ impl Margins {
         }
         let hands = if self.hand { HANDS.as_slice() } else { &[] };
         corners.extend(hands.iter().map(|hand| Corner {
-            device: believed.clone().with_hand(*hand),
-            believed: believed.clone(),
+            device: model.clone().with_hand(*hand),
+            model: model.clone(),
             delay_s: self.delay_s,
         }));
         Ok(corners)

@@ -28,22 +28,22 @@ const LEAST_HELD_FORCE: f64 = 1.0;
 const TORQUE_LIMIT: f64 = 1.0;
 /// Longest pull of the measurement, m, as in `haptic measure-range`.
 const MAX_PULL: f64 = 0.5e-3;
-/// Frequency of the hold between trials, Hz. It is soft with any encoder.
+/// Frequency of the hold between trials, Hz, at which the hold is soft with any encoder.
 const HOLD_HZ: f64 = 40.0;
 
 /// Results of measurements on the simulated board.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Measured {
+pub struct MeasuredWall {
     /// Largest stiffness at which the tip came to rest after a pull, N/m, at the settings' damping.
     pub stiffness: f64,
-    /// Reason why the boundary may be higher; `None` if it was found.
+    /// Reason why the boundary may be higher; `None` if the boundary was found.
     pub open: Option<String>,
     /// Root mean square of the force above 20 Hz under a sliding hand, N; `None` if the hand is not held.
     pub ripple_n: Option<f64>,
 }
 
 /// Measures the largest stable stiffness on a simulated board, and simulates the ripple at the settings' stiffness.
-pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
+pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<MeasuredWall, Failure> {
     let result = boundary(question, settings, &|| sweep.check_interrupted().is_err());
     sweep.check_interrupted()?;
     let (stiffness, open) = match result {
@@ -52,7 +52,7 @@ pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> R
         Err(error) if error.is_local() => (0.0, Some(error.to_string())),
         Err(error) => return Err(Failure::impossible(error)),
     };
-    Ok(Measured { stiffness, open, ripple_n: ripple(question, settings, sweep)? })
+    Ok(MeasuredWall { stiffness, open, ripple_n: ripple(question, settings, sweep)? })
 }
 
 fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> bool) -> Result<f64, MeasureError> {

@@ -11,7 +11,7 @@
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::RAISE_FACTOR;
-use super::{STIFFNESS_RATIO, Settings, TunedWall, choose_wall, stiffest, three_digits};
+use super::{STIFFNESS_RATIO, Settings, TunedWall, choose_wall, stiffest_wall, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::error::Failure;
@@ -19,21 +19,21 @@ use std::collections::BTreeSet;
 
 /// Cutoffs of the low-passes, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
-/// Bandwidths of estimators that have one, Hz.
+/// Bandwidths of the estimators with a bandwidth, Hz.
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
 /// Windows of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 const CANDIDATES_PER_ROUND: usize = 8;
 /// Share of the best stiffness down to which candidates are simulated, because they may beat the best.
 const NEAR_SHARE: f64 = 0.85;
-/// Share of the best stiffness for another feed-forward and on the board, lower so that there is a result to compare.
+/// Like [`NEAR_SHARE`], for other feed-forwards and on the board; lower, so that there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
 /// Share of the encoders' rule of thumb at which stiffness starts without an earlier result.
 const FIRST_SHARE: f64 = 0.1;
 /// Ratio of successive stiffnesses without an earlier result.
 const STIFFNESS_STEP: f64 = 1.5;
-/// Factors by which the best wall is made stiffer until none meets all criteria. They exceed the limit found earlier,
-/// because friction or a limit cycle may make a stiffer wall quieter.
+/// Factors by which the best wall is made stiffer until no stiffer wall meets all criteria. The steps also exceed the
+/// limit found earlier, because friction or a limit cycle may make a stiffer wall quieter.
 const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
 /// Maximum number of estimators around whose best wall the search continues.
 const REFINED_ESTIMATORS: usize = 4;
@@ -84,7 +84,7 @@ impl SearchContext<'_> {
                     .total_cmp(&a.largest_stiffness())
                     .then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
-            let floor = stiffest(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let floor = stiffest_wall(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
             let share = if feed_forward == FeedForward::Off { NEAR_SHARE } else { COMPARED_SHARE };
             let mut tuned = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
             for (place, one) in promising_walls(&tuned).into_iter().enumerate() {
@@ -111,8 +111,8 @@ impl SearchContext<'_> {
         waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
         waiting.truncate(MAX_WALLS_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
-            // A result well below the stiffest one so far need not be exact.
-            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
+            // A result well below the stiffest wall so far need not be exact.
+            let floor = COMPARED_SHARE * stiffest_wall(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
                 let top = tuned.settings.stiffness;
                 let softer = (0..24).map(|i| three_digits(top / SOFTEN_FACTOR.powi(i), true));
@@ -246,24 +246,19 @@ impl SearchContext<'_> {
     ) -> Result<Vec<TunedWall>, Failure> {
         let mut tuned: Vec<TunedWall> = Vec::new();
         for (round, some) in candidates.chunks(CANDIDATES_PER_ROUND).enumerate() {
-            let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
+            let floor = stiffest_wall(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
             if some[0].1.largest_stiffness() <= floor {
                 break;
             }
             let stage = format!("ripple, feed-forward {feed_forward}, round {}", round + 1);
-            tuned.extend(self.best_of_each(some, floor, &stage)?);
+            tuned.extend(self.best_walls(some, floor, &stage)?);
             *count += some.len();
         }
         Ok(tuned)
     }
 
     /// Returns the best wall of each candidate that is stiffer than `floor` (N/m).
-    fn best_of_each(
-        &self,
-        candidates: &[(Settings, Curve)],
-        floor: f64,
-        stage: &str,
-    ) -> Result<Vec<TunedWall>, Failure> {
+    fn best_walls(&self, candidates: &[(Settings, Curve)], floor: f64, stage: &str) -> Result<Vec<TunedWall>, Failure> {
         let results = self.sweep.map(stage, candidates, |(settings, curve)| {
             Ok(self.best_of_candidate(settings, curve, floor)?.map(to_gains))
         })?;
@@ -276,26 +271,26 @@ impl SearchContext<'_> {
         let mut best = tuned;
         for round in 0..REFINEMENT_ROUNDS {
             let Settings { stiffness, damping, .. } = best.settings;
-            let candidates = self.around_damping(neighbours(&best.settings), damping)?;
+            let candidates = self.curves_near_damping(neighbours(&best.settings), damping)?;
             let there =
-                self.best_of_each(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
-            best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
+                self.best_walls(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
+            best = stiffest_wall([&best].into_iter().chain(&there)).unwrap_or(best);
             if best.settings.stiffness <= STIFFNESS_RATIO * stiffness {
                 break;
             }
         }
         if best.settings.feed_forward == FeedForward::Washout {
             let corners = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings });
-            let candidates = self.around_damping(corners.to_vec(), best.settings.damping)?;
-            let there = self.best_of_each(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
-            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let candidates = self.curves_near_damping(corners.to_vec(), best.settings.damping)?;
+            let there = self.best_walls(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
+            let most = stiffest_wall([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
             best = there.into_iter().find(|tuned| tuned.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
         }
         Ok(best)
     }
 
     /// Returns these settings with their curves near a damping (N s/m).
-    fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
+    fn curves_near_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
         let dampings = DAMPING_FACTORS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
             let most = self.allowed_stiffnesses(&settings, &dampings)?;
@@ -325,7 +320,7 @@ fn neighbours(settings: &Settings) -> Vec<Settings> {
 
 /// Returns the best walls of the estimators that are near the best of all, in descending order of stiffness.
 fn promising_walls(tuned: &[TunedWall]) -> Vec<TunedWall> {
-    let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
+    let best = stiffest_wall(tuned).map_or(0.0, |best| best.settings.stiffness);
     let mut nearby = super::best_of_each_estimator(tuned.to_vec());
     nearby.retain(|tuned| tuned.settings.stiffness >= NEAR_SHARE * best);
     nearby.truncate(REFINED_ESTIMATORS);

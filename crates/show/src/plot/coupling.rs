@@ -12,7 +12,7 @@ use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::vectors::padded_to;
-use haptic_stability::analysis::map::{MapPoint, along, map_point_at};
+use haptic_stability::analysis::map::{MapPoint, effective_inertias, map_point_at};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
@@ -184,7 +184,7 @@ fn draw_curve(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPose,
             let angle = std::f64::consts::TAU * f64::from(i) / 180.0;
             let mut direction = DVector::zeros(joints);
             (direction[0], direction[1]) = (angle.cos(), angle.sin());
-            along(pose, &direction).map(|(w_eff, w_rr)| (angle, w_eff, w_rr))
+            effective_inertias(pose, &direction).map(|(w_eff, w_rr)| (angle, w_eff, w_rr))
         })
         .collect();
     let largest = samples.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
@@ -239,7 +239,7 @@ fn draw_surface(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPos
         let turn = std::f64::consts::TAU * j as f64 / wholes as f64;
         let direction = Vector3::new(down.sin() * turn.cos(), down.cos(), down.sin() * turn.sin());
         let padded = padded_to(joints, direction.as_slice());
-        let coupling = along(pose, &padded).map_or(0.0, |(w_eff, w_rr)| (w_rr - w_eff).max(0.0));
+        let coupling = effective_inertias(pose, &padded).map_or(0.0, |(w_eff, w_rr)| (w_rr - w_eff).max(0.0));
         (direction * coupling, coupling)
     };
     let grid: Vec<Vec<(Vector3<f64>, f64)>> =

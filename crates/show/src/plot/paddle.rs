@@ -7,7 +7,7 @@ use super::canvas::Stroke;
 use super::colour::{INK, scale};
 use super::paper::Paper;
 use super::{Picture, linkage};
-use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::map::effective_inertias;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, skeleton};
 
@@ -21,8 +21,8 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
     let (low, high) = joint.limits.unwrap_or((home - half, home + half));
     let place = |q: f64| skeleton(description, &[q]).map_or((0.0, 0.0), |s| s.tip);
     let arc: Vec<Point> = (0..=ARC_POINTS).map(|i| place(low + (high - low) * i as f64 / ARC_POINTS as f64)).collect();
-    let (_, w_rr) =
-        along(&TaskPose::at(description, &[home])?, &unit_normal(&[1.0], 1, 1)?).ok_or(PoseError::Serial)?;
+    let (_, w_rr) = effective_inertias(&TaskPose::at(description, &[home])?, &unit_normal(&[1.0], 1, 1)?)
+        .ok_or(PoseError::Serial)?;
 
     let length = 1e3 * description.geometry[0];
     let (limits, along) = match joint.limits {

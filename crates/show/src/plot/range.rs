@@ -164,7 +164,7 @@ fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBou
     const MIN_VISIBLE_DISTANCE: f64 = 2.0;
     /// Straight pieces of the Colgate and Schenkel curve.
     const CURVE_PIECES: usize = 40;
-    let (max_stiffness, end) = (passivity.sampled(0.0), passivity.largest_damping());
+    let (max_stiffness, end) = (passivity.largest_stiffness(0.0), passivity.largest_damping());
     let (right, top) = frame.pixel(end, max_stiffness);
     let bottom = frame.at.1 + frame.size.1;
     let small = right - frame.at.0 < MIN_VISIBLE_DISTANCE || bottom - top < MIN_VISIBLE_DISTANCE;
@@ -172,10 +172,10 @@ fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBou
     let mut bounds = vec![PassivityBound {
         name: "Colgate and Schenkel, of this loop",
         dash: "5 3",
-        line: (0..=CURVE_PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
+        line: (0..=CURVE_PIECES).map(|i| (at(i), passivity.largest_stiffness(at(i)))).collect(),
         hidden: small.then(|| format!("kp < {}, kd < {}", with_unit(max_stiffness, "N/m"), with_unit(end, "N s/m"))),
     }];
-    if let Some(limit) = passivity.quantised() {
+    if let Some(limit) = passivity.largest_undamped_stiffness() {
         let (_, y) = frame.pixel(0.0, limit);
         let is_hidden = bottom - y < MIN_VISIBLE_DISTANCE || y < frame.at.1;
         bounds.push(PassivityBound {

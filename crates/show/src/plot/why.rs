@@ -6,7 +6,7 @@ use super::canvas::{Anchor, SMALL_TEXT, Stroke};
 use super::colour::{FAINT_GREY, FULL_COLOUR, OFF_COLOUR};
 use super::paper::{EDGE_MARGIN, Paper};
 use haptic_host::words::with_unit;
-use haptic_stability::analysis::why::{LimitPair, Why};
+use haptic_stability::analysis::why::{EffectShares, LimitPair};
 
 /// Maximum width of a letter, pixels.
 const LETTER_WIDTH: f64 = 6.8;
@@ -22,7 +22,7 @@ const DECADE_GAP: f64 = 78.0;
 const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
 /// Draws the picture with a title and two subtitle lines.
-pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
+pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Paper) -> Picture {
     let rows: Vec<(String, LimitPair)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
         .collect();

@@ -215,15 +215,15 @@ impl<'a> CircleResponses<'a> {
         last.gain(searched, held).re
     }
 
-    /// Searches the extremum between two samples. If the extremum crosses zero, returns the gains on both sides of it.
+    /// Searches the extremum between two samples. If the mismatch there crosses zero, returns the gains on both sides.
     fn refine_pair(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);
         let (edge_low, edge_high) = (low, high);
-        const GOLDEN: f64 = 0.618_033_988_749_894_8;
+        const GOLDEN_SECTION: f64 = 0.618_033_988_749_894_8;
         for _ in 0..40 {
-            let left = high - GOLDEN * (high - low);
-            let right = low + GOLDEN * (high - low);
+            let left = high - GOLDEN_SECTION * (high - low);
+            let right = low + GOLDEN_SECTION * (high - low);
             let at_left = sign * self.respond(left).mismatch(searched, held);
             let at_right = sign * self.respond(right).mismatch(searched, held);
             let (angle, value) = if at_left < at_right { (left, at_left) } else { (right, at_right) };
@@ -358,7 +358,7 @@ mod tests {
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
             let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
-            let open = OpenLoop::with_believed_model(&device, &device, &around, mode).unwrap();
+            let open = OpenLoop::with_model(&device, &device, &around, mode).unwrap();
             let mut circle = CircleResponses::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();
             for interval in &support {

@@ -112,7 +112,7 @@ pub fn usual_delay(rate_hz: f64) -> f64 {
 
 impl Linearised {
     /// Returns the displacement of the tip along the normal at rest that the encoders do not measure, m/N: Σⱼ Jrⱼ
-    /// τⱼ/kⱼ. The joint torques τ per newton of wall force are those of equation (4) for the full feed-forward,
+    /// τⱼ/kⱼ. The joint torques τ per newton of wall force come from equation (4) for the full feed-forward,
     /// otherwise Jrᵀ. Returns `None` if no transmission is compliant.
     #[must_use]
     pub fn compliance(&self, mode: Mode) -> Option<f64> {
@@ -124,7 +124,7 @@ impl Linearised {
 
     /// Returns the stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[must_use]
-    pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
+    pub fn felt_stiffness(&self, mode: Mode, stiffness: f64) -> Option<f64> {
         felt_stiffness(stiffness, self.compliance(mode)?)
     }
 }

@@ -1,12 +1,12 @@
 //! The plane of the workspace that a map shows, divided into tiles with the quantities of [`super::map`].
 //!
-//! The angles of two joints span the plane. They start at home and end at joint limits and singularities, as in the
-//! map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
+//! The angles of two joints span the plane. The angles start at home and end at joint limits and singularities, as in
+//! the map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
 //!
 //! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
 //! of its linkage. The redundant arm keeps the orientation that it has at home.
 
-use super::map::{FixedCoordinate, MapPoint, Reachable, along, map_point_at};
+use super::map::{FixedCoordinate, MapPoint, Reachable, effective_inertias, map_point_at};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use crate::skeleton::{Point, Turret};
 use haptic_bridge::model::admissible::Admissible;
@@ -136,7 +136,7 @@ impl Cut {
 
     fn evaluate(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
         let pose = TaskPose::of(&self.device.mechanism, q).ok()?.holding(self.admissible);
-        let (w_eff, w_rr) = along(&pose, &self.normal)?;
+        let (w_eff, w_rr) = effective_inertias(&pose, &self.normal)?;
         Some(Node { swept, place: self.project(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
     }
 

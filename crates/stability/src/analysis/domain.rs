@@ -28,7 +28,7 @@ const ISLAND_DAMPINGS: (f64, f64) = (1e-5, 2.0);
 pub struct BoundaryPoint {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stiffness up to which all stiffnesses are stable, N/m; zero if none is stable.
+    /// Largest stiffness up to which all stiffnesses are stable, N/m; zero if no stiffness is stable.
     pub kp: f64,
     /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt_stiffness`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -45,7 +45,7 @@ impl BoundaryPoint {
     }
 }
 
-/// A stable interval of stiffness above an unstable one at the same damping.
+/// A stable interval of stiffness above an unstable interval at the same damping.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Island {
     /// Damping, N s/m.
@@ -108,7 +108,7 @@ pub fn domain_of_several(
     domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
 
-/// Computes the stable intervals of one gain while the other is constant, in sample units.
+/// Computes the stable intervals of one gain while the other gain is constant, in sample units.
 pub(super) trait StableIntervals {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
@@ -186,7 +186,7 @@ pub(super) fn domain_from_intervals(
         })?;
     }
     if kd.is_none() && kd_max > 0.0 {
-        // Islands may lie beyond the largest damping, so search up to twice this damping.
+        // Searches up to twice the largest damping, because islands may lie beyond it.
         for i in 1..=32 {
             let kd_hat = kd_max + kd_max * f64::from(i) / 32.0;
             let stable = stable_at(kd_hat)?;
@@ -232,7 +232,7 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// Returns the largest stable stiffness (N/m) at damping `kd`, zero if none, and the largest stable damping.
+/// Returns the largest stable stiffness at damping `kd`, N/m (0 if no stiffness is stable), and the largest damping.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
@@ -247,28 +247,28 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
-/// Returns the largest stable stiffness at each damping of `kd`, N/m, with the controller's model `believed`.
+/// Returns the largest stable stiffness at each damping of `kd`, N/m, for a controller with this `model`.
 pub fn stiffnesses(
     device: &Linearised,
-    believed: &Linearised,
+    model: &Linearised,
     around: &Loop,
     mode: Mode,
     kd: &[f64],
 ) -> Result<Vec<f64>, AnalysisError> {
-    let points = boundary_of(device, believed, around, mode, |_| kd.to_vec())?;
+    let points = boundary_of(device, model, around, mode, |_| kd.to_vec())?;
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// Returns boundary points of a device whose controller uses the model `believed`. The function `kd` receives the
+/// Returns boundary points of a device whose controller has this `model`. The function `kd` receives the
 /// largest damping at which any stiffness is stable and returns the dampings of the points, N s/m.
 pub fn boundary_of(
     device: &Linearised,
-    believed: &Linearised,
+    model: &Linearised,
     around: &Loop,
     mode: Mode,
     kd: impl FnOnce(f64) -> Vec<f64>,
 ) -> Result<Vec<BoundaryPoint>, AnalysisError> {
-    let open = open_loop(device, believed, around, mode)?;
+    let open = open_loop(device, model, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = CircleResponses::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
@@ -304,7 +304,7 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
     }
 }
 
-/// Number of golden-section steps. They narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
+/// Number of golden-section steps, which narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
 const GOLDEN_SECTION_STEPS: usize = 12;
 
 /// Searches the largest value in a bracket by golden section. The caller keeps the largest value.

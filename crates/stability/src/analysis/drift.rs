@@ -33,7 +33,7 @@ impl Drift {
     }
 }
 
-/// One constant motion: (velocities of the damped joints, share of the undamped ones, lagging torques, wall force).
+/// One constant motion: (velocities of the damped joints, share of the undamped joints, lagging torques, wall force).
 pub(super) type ConstantMotion = (Vec<f64>, f64, Vec<f64>, f64);
 
 /// Finds the constant joint velocities that persist if the joints' damping is exactly compensated.

@@ -81,7 +81,7 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             let y = a[(hi - 1, hi - 1)];
             let w = a[(hi, hi - 1)] * a[(hi - 1, hi)];
             if l + 1 == hi {
-                result.extend(pair(x, y, w, shifted));
+                result.extend(block_eigenvalues(x, y, w, shifted));
                 left -= 2;
                 break;
             }
@@ -90,7 +90,7 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             }
             let (mut x, mut y, mut w) = (x, y, w);
             if iterations > 0 && iterations % 10 == 0 {
-                // Apply the exceptional shift.
+                // Applies the exceptional shift.
                 shifted += x;
                 for i in 0..=hi {
                     a[(i, i)] -= x;
@@ -106,7 +106,7 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
 }
 
 /// Returns the eigenvalues of the trailing 2 x 2 block.
-fn pair(x: f64, y: f64, w: f64, shifted: f64) -> [Complex<f64>; 2] {
+fn block_eigenvalues(x: f64, y: f64, w: f64, shifted: f64) -> [Complex<f64>; 2] {
     let p = 0.5 * (y - x);
     let q = p * p + w;
     let root = q.abs().sqrt();

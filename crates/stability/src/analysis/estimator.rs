@@ -20,13 +20,13 @@ pub enum LinearEstimator {
     /// Backward difference and a second-order bilinear Butterworth low-pass, prewarped at the cutoff (Hz).
     Butterworth(f64),
     /// Difference over several samples, `(x[n] - x[n-k])/(k T)`, followed by a low-pass.
-    Over {
+    Difference {
         /// Number of samples k, from 1 to [`LONGEST_DIFFERENCE`].
         samples: usize,
         /// Low-pass that follows the difference.
-        then: LowPass,
+        low_pass: LowPass,
     },
-    /// α-β-γ filter with its poles at this frequency (Hz). It uses the acceleration that the last command causes.
+    /// α-β-γ filter with its poles at this frequency (Hz), which uses the acceleration that the last command causes.
     Predicted(f64),
 }
 
@@ -48,16 +48,16 @@ struct FilterOutput {
 }
 
 impl LinearEstimator {
-    /// Returns this estimator with its difference taken over `samples` samples, or unchanged if it takes no difference.
-    pub fn over(self, samples: usize) -> Self {
-        let then = match self {
+    /// Returns this estimator with its difference over `samples` samples, or unchanged if it takes no difference.
+    pub fn with_window(self, samples: usize) -> Self {
+        let low_pass = match self {
             Self::BackwardDifference => LowPass::None,
             Self::FirstOrder(hz) => LowPass::FirstOrder(hz),
             Self::Butterworth(hz) => LowPass::Butterworth(hz),
-            Self::Over { then, .. } => then,
+            Self::Difference { low_pass, .. } => low_pass,
             Self::Predicted(_) => return self,
         };
-        Self::Over { samples, then }
+        Self::Difference { samples, low_pass }
     }
 
     /// Returns the linear form of a scene's estimator near rest; `None` if the estimator has no linear form.
@@ -67,12 +67,14 @@ impl LinearEstimator {
             Kind::Butterworth => Some(Self::Butterworth(cutoff_hz)),
             Kind::FirstOrder => Some(Self::FirstOrder(cutoff_hz)),
             Kind::BackwardDifference => Some(Self::BackwardDifference),
-            Kind::Difference(chosen) => Some(Self::Over { samples: chosen.value as usize, then: behind(chosen) }),
+            Kind::Difference(chosen) => {
+                Some(Self::Difference { samples: chosen.value as usize, low_pass: behind(chosen) })
+            }
             Kind::Predicted(_) => Some(Self::Predicted(cutoff_hz)),
         }
     }
 
-    /// Returns the linear estimators without a window. [`LinearEstimator::over`] adds one.
+    /// Returns the linear estimators without a window. [`LinearEstimator::with_window`] adds one.
     pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
         let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
         let all = Kind::ALL.iter().copied();
@@ -87,17 +89,17 @@ impl LinearEstimator {
     /// Returns the cutoff, Hz; `None` if the estimator has no low-pass.
     pub fn cutoff_hz(self) -> Option<f64> {
         match self {
-            Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
+            Self::BackwardDifference | Self::Difference { low_pass: LowPass::None, .. } => None,
             Self::FirstOrder(hz)
             | Self::Butterworth(hz)
             | Self::Predicted(hz)
-            | Self::Over { then: LowPass::FirstOrder(hz) | LowPass::Butterworth(hz), .. } => Some(hz),
+            | Self::Difference { low_pass: LowPass::FirstOrder(hz) | LowPass::Butterworth(hz), .. } => Some(hz),
         }
     }
 
     pub(super) fn samples(self) -> usize {
         match self {
-            Self::Over { samples, .. } => samples,
+            Self::Difference { samples, .. } => samples,
             _ => 1,
         }
     }
@@ -106,7 +108,7 @@ impl LinearEstimator {
     pub(super) fn check(self, rate_hz: f64) -> Result<(), AnalysisError> {
         let cutoff = self.cutoff_hz();
         match (self, cutoff) {
-            (Self::Over { samples, .. }, _) if !(1..=LONGEST_DIFFERENCE).contains(&samples) => {
+            (Self::Difference { samples, .. }, _) if !(1..=LONGEST_DIFFERENCE).contains(&samples) => {
                 Err(AnalysisError::Difference(samples))
             }
             (_, Some(cutoff)) if !(cutoff > 0.0 && cutoff < rate_hz / 2.0) => {
@@ -122,7 +124,7 @@ impl LinearEstimator {
             Self::FirstOrder(_) => 1,
             Self::Butterworth(_) => 2,
             Self::Predicted(_) => 3,
-            Self::Over { samples, then } => samples - 1 + then.after_backward_difference().states(),
+            Self::Difference { samples, low_pass } => samples - 1 + low_pass.after_backward_difference().states(),
         }
     }
 
@@ -145,10 +147,10 @@ impl LinearEstimator {
                 let band = s1 + g * high;
                 FilterOutput { velocity: s2 + g * band, change: vec![2.0 * g * high, 2.0 * g * band] }
             }
-            (Self::Over { samples, then }, states) => {
+            (Self::Difference { samples, low_pass }, states) => {
                 let (past, rest) = states.split_at(samples - 1);
                 let mean = (moved + past.iter().sum::<f64>()) / samples as f64;
-                let mut after = then.after_backward_difference().filter_sample(rate_hz, rest, mean, 0.0);
+                let mut after = low_pass.after_backward_difference().filter_sample(rate_hz, rest, mean, 0.0);
                 let mut change = Vec::with_capacity(states.len());
                 let mut newer = moved;
                 for states_part in past {
@@ -176,7 +178,7 @@ impl LinearEstimator {
     /// Returns velocity over position as a function of the angle per sample (rad), without commands.
     pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
         let (samples, filter) = match self {
-            Self::Over { samples, then } => (samples, then.after_backward_difference()),
+            Self::Difference { samples, low_pass } => (samples, low_pass.after_backward_difference()),
             alone => (1, alone),
         };
         let (matrix, states) = (filter.matrix(rate_hz), filter.states());
@@ -218,9 +220,9 @@ impl LinearEstimator {
             Self::FirstOrder(_) => ("first-order", 1),
             Self::Butterworth(_) => ("butterworth", 1),
             Self::Predicted(_) => ("predicted", 1),
-            Self::Over { samples, then: LowPass::None } => ("backward-difference", samples),
-            Self::Over { samples, then: LowPass::FirstOrder(_) } => ("first-order", samples),
-            Self::Over { samples, then: LowPass::Butterworth(_) } => ("butterworth", samples),
+            Self::Difference { samples, low_pass: LowPass::None } => ("backward-difference", samples),
+            Self::Difference { samples, low_pass: LowPass::FirstOrder(_) } => ("first-order", samples),
+            Self::Difference { samples, low_pass: LowPass::Butterworth(_) } => ("butterworth", samples),
         }
     }
 }

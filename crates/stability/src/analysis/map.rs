@@ -94,7 +94,7 @@ pub fn map_point_at(
 }
 
 /// Returns Weff and Wrr (kg) along a normal of N entries, or `None` if a singularity makes them infinite.
-pub fn along(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
+pub fn effective_inertias(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
     let force = pose.jacobian.tr_mul(normal);
     let w_eff = 1.0 / force.dot(&pose.mass.clone().cholesky()?.solve(&force));
     let w_rr = normal.dot(&(&pose.operational * normal));
@@ -107,7 +107,7 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     let held = pose.operational.view((0, 0), (d, d)).into_owned();
     let free = mobility.view((0, 0), (d, d)).into_owned();
     let quadratic = |m: &DMatrix<f64>, n: &DVector<f64>| n.dot(&(m * n));
-    let (w_eff, w_rr) = along(pose, normal)?;
+    let (w_eff, w_rr) = effective_inertias(pose, normal)?;
 
     let axes = SymmetricEigen::new(free.clone().cholesky()?.inverse());
     let mut order: Vec<usize> = (0..d).collect();

@@ -20,7 +20,7 @@ pub struct Oscillation {
 }
 
 /// Largest growth per sample on the stability boundary. Where a creep is the boundary, oscillations decay faster.
-const ON_THE_CIRCLE: f64 = 1e-6;
+const MAX_GROWTH_ON_CIRCLE: f64 = 1e-6;
 
 impl Oscillation {
     /// Returns the least damped mode z = 1 + γ of F = A - I; `None` if no mode oscillates.
@@ -45,7 +45,7 @@ impl Oscillation {
 
     /// Returns the frequency (Hz) if the oscillation neither grows nor decays, as on its own stability boundary.
     pub(super) fn sustained_hz(&self, sample_s: f64) -> Option<f64> {
-        ((self.growth_per_s * sample_s).abs() < ON_THE_CIRCLE).then_some(self.hz)
+        ((self.growth_per_s * sample_s).abs() < MAX_GROWTH_ON_CIRCLE).then_some(self.hz)
     }
 }
 

@@ -32,7 +32,7 @@ use nalgebra::{Complex, DVector};
 const SLOW_ANGLES: usize = 200;
 /// Number of even angles above `EVEN_FROM_RAD` without delay. Each sample of delay adds as many.
 const EVEN_ANGLES: usize = 400;
-/// Smallest analysed angle, rad. Slower motions follow their limit, `Passivity::lateness`.
+/// Smallest analysed angle, rad. Slower motions follow their limit, `Passivity::mean_delay_s`.
 const SLOWEST_ANGLE_RAD: f64 = 1e-3;
 /// Angle at which evenly spaced angles begin, rad.
 const EVEN_FROM_RAD: f64 = 0.1;
@@ -49,7 +49,7 @@ pub struct Passivity {
     /// Largest step of the rendered position if every encoder steps once, Σⱼ |Jrⱼ| Δⱼ, m; `None` without encoders.
     pub quantum: Option<f64>,
     /// Average delay of a force, s.
-    lateness: f64,
+    mean_delay_s: f64,
     angles: Vec<ConditionTerms>,
 }
 
@@ -94,19 +94,19 @@ impl Passivity {
             damping,
             coulomb: if coulomb.is_finite() { coulomb } else { 0.0 },
             quantum,
-            lateness: (0.5 + around.delay_samples) / around.rate_hz + lag_s,
+            mean_delay_s: (0.5 + around.delay_samples) / around.rate_hz + lag_s,
             angles: if damping > 0.0 { angles(damping, lag_s, around) } else { Vec::new() },
         })
     }
 
     /// Returns the largest passive stiffness at a damping (N s/m), N/m; zero above [`Passivity::largest_damping`].
-    pub fn sampled(&self, kd: f64) -> f64 {
+    pub fn largest_stiffness(&self, kd: f64) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
             let ConditionTerms { centre, spread, velocity } = angle;
             let rest = 1.0 + 2.0 * kd * (velocity * centre).re - spread * kd * kd * velocity.norm_sqr();
             positive_root(*spread, 2.0 * centre.re - 2.0 * spread * kd * velocity.re, rest)
         });
-        allowed.reduce(f64::min).map_or(0.0, |least| least.min((self.damping + kd) / self.lateness))
+        allowed.reduce(f64::min).map_or(0.0, |least| least.min((self.damping + kd) / self.mean_delay_s))
     }
 
     /// Returns the largest passive damping, N s/m.
@@ -119,9 +119,9 @@ impl Passivity {
     }
 
     /// Returns the largest passive stiffness of an undamped wall (Abbott and Okamura), N/m.
-    pub fn quantised(&self) -> Option<f64> {
+    pub fn largest_undamped_stiffness(&self) -> Option<f64> {
         let friction = 2.0 * self.coulomb / self.quantum?;
-        Some(friction.min(self.sampled(0.0)))
+        Some(friction.min(self.largest_stiffness(0.0)))
     }
 }
 
@@ -215,18 +215,18 @@ mod tests {
     fn a_paddle_has_the_textbook_bounds() {
         let bounds = paddle(&control_loop(0.0, Drive::Ideal));
         // b = 2e-3/0.1² = 0.2 N s/m, fc = 0.05 N, Δ = 0.1 · 1e-4 m.
-        assert!((bounds.sampled(0.05) - 300.0).abs() < 1e-6);
-        assert_eq!(bounds.sampled(0.3), 0.0);
+        assert!((bounds.largest_stiffness(0.05) - 300.0).abs() < 1e-6);
+        assert_eq!(bounds.largest_stiffness(0.3), 0.0);
         assert!((bounds.largest_damping() - 0.2).abs() < 1e-9);
         // 2 fc/Δ = 1e4 N/m is above 2b/T = 400 N/m.
-        assert!((bounds.quantised().unwrap() - 400.0).abs() < 1e-6);
+        assert!((bounds.largest_undamped_stiffness().unwrap() - 400.0).abs() < 1e-6);
         // One sample of delay triples T/2.
-        assert!((paddle(&control_loop(1.0, Drive::Ideal)).sampled(0.0) - 400.0 / 3.0).abs() < 1e-5);
+        assert!((paddle(&control_loop(1.0, Drive::Ideal)).largest_stiffness(0.0) - 400.0 / 3.0).abs() < 1e-5);
     }
 
     #[test]
     fn lag_and_fractional_delay_cost_more_than_their_time() {
-        let limit = |delay: f64, drive: Drive| paddle(&control_loop(delay, drive)).sampled(0.0);
+        let limit = |delay: f64, drive: Drive| paddle(&control_loop(delay, drive)).largest_stiffness(0.0);
         // For slow motions the limit is b/(T (1/2 + d) + lag). Aliases reduce it further.
         let slow = |delay: f64, lag_s: f64| 0.2 / (1e-3 * (0.5 + delay) + lag_s);
         let half = limit(0.5, Drive::Ideal) / slow(0.5, 0.0);
@@ -257,7 +257,7 @@ mod tests {
         for delay in [0.0, 1.0, 2.0, 5.0] {
             let bounds = paddle(&control_loop(delay, Drive::Ideal));
             for kd in [0.0, 0.05, 0.1, 0.19] {
-                let limit = bounds.sampled(kd);
+                let limit = bounds.largest_stiffness(kd);
                 assert!(
                     is_passive(b, 0.999 * limit, kd, t, delay) && !is_passive(b, 1.001 * limit, kd, t, delay),
                     "{delay}"

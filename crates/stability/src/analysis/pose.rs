@@ -57,7 +57,7 @@ impl From<PoseError> for haptic_host::error::Failure {
     fn from(error: PoseError) -> Self {
         match error {
             PoseError::Serial | PoseError::Parallel => {
-                Self::impossible(error).remedy("choose joint angles away from it")
+                Self::impossible(error).remedy("choose joint angles away from the singularity")
             }
             _ => Self::wrong(error),
         }
@@ -108,7 +108,7 @@ impl TaskPose {
             let held = admissible.hold(&shaping(column(i)), &null);
             inverse.column_mut(i).copy_from(&held.e);
         }
-        // Scale the last column so that the new coordinate is the angle of the held joint.
+        // Scales the last column so that the new coordinate is the angle of the held joint.
         if let Some(joint) = admissible.joint() {
             let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
             inverse.set_column(joints - 1, &scaled);
@@ -120,9 +120,9 @@ impl TaskPose {
         self
     }
 
-    /// Returns the pose, or an error if it is singular.
+    /// Returns the pose, or an error if the pose is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
-        regular(&self.regularity)?;
+        check_regular(&self.regularity)?;
         Ok(self)
     }
 }
@@ -139,7 +139,7 @@ pub struct Stance {
 impl Stance {
     /// Computes the properties at joint angles `q` (rad). Rejects wrong lengths but not singular poses.
     pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
-        angles(q, mechanism.kind().spec().joints)?;
+        check_angles(q, mechanism.kind().spec().joints)?;
         Ok(with_mechanism!(mechanism, m => {
             let pose = m.pose::<FineTable>(&SVector::from_column_slice(q));
             Self { regularity: m.regularity(&pose), positive: m.jacobian(&pose).determinant() > 0.0 }
@@ -153,7 +153,7 @@ impl Stance {
 }
 
 /// Rejects a wrong number of joint angles, and angles that are not finite.
-pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
+pub fn check_angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     if q.len() != joints {
         return Err(PoseError::Joints { joints, found: q.len() });
     }
@@ -164,7 +164,7 @@ pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
 }
 
 /// Rejects singular poses.
-pub fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
+pub fn check_regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
     if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
         Err(PoseError::Parallel)
     } else if regularity.serial.is_nan() || regularity.serial < LEAST_ANALYSED_SINE {
@@ -175,7 +175,7 @@ pub fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
 }
 
 fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<TaskPose, PoseError> {
-    angles(q, N)?;
+    check_angles(q, N)?;
     let pose = mechanism.pose::<FineTable>(&SVector::from_column_slice(q));
     let dense = |m: nalgebra::SMatrix<f64, N, N>| DMatrix::from_iterator(N, N, m.iter().copied());
     Ok(TaskPose {
@@ -210,7 +210,7 @@ impl Linearised {
         normal: &[f64],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
-        Subject::new(description)?.along(q, normal, admissible)
+        Subject::new(description)?.linearise_along(q, normal, admissible)
     }
 
     /// Like [`Linearised::holding`], for a [`Device`] without its compliant parts. [`super::prediction`] includes them.
@@ -247,7 +247,7 @@ impl Linearised {
 
 impl Subject {
     /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero).
-    pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
+    pub fn linearise_along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
         let mut linearised = Linearised::of(&self.device, q, normal, admissible)?;
         let Flexible { transmissions, modes, .. } = self.compliant_parts();
         (linearised.flexible.transmissions, linearised.flexible.modes) = (transmissions, modes);

@@ -67,7 +67,7 @@ impl Prediction {
 
     /// Linearises the device for one wall at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn linearise(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut linearised = self.subject.along(q, normal, self.admissible)?.with_hand(self.hand);
+        let mut linearised = self.subject.linearise_along(q, normal, self.admissible)?.with_hand(self.hand);
         linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
         linearised.flexible.posture = self.posture_with_jacobian(q)?;
         Ok(linearised)
@@ -90,7 +90,7 @@ impl Prediction {
         }
     }
 
-    /// Returns the posture control with the Jacobian row of the orientation; `None` if it has no effect.
+    /// Returns the posture control with the Jacobian row of the orientation; `None` if the control has no effect.
     fn posture_with_jacobian(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
         // A posture without stiffness and damping has no effect.
         let acts = |held: &Posture| held.stiffness > 0.0 || held.damping > 0.0;
@@ -112,7 +112,7 @@ impl Prediction {
         Ok(self.walls(q, members)?.range(&self.around, kd, washout_hz)?)
     }
 
-    /// Returns the largest stable stiffness with damping `kd`, N/m, zero if none, and the largest stable damping.
+    /// Returns the largest stable stiffness with damping `kd`, N/m (0 if none is stable), and the largest damping.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
         Ok(stiffness_at(&self.linearise(q, normal)?, &self.around, mode, kd)?)
     }
@@ -203,7 +203,7 @@ fn estimator_options(estimator: LinearEstimator) -> String {
     if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
 }
 
-/// Rounds a value to the six printed digits, so that a prediction equals one that repeats the printed options.
+/// Rounds a value to the six printed digits, so that the prediction equals a prediction with the printed options.
 #[must_use]
 pub fn round_as_printed(value: f64) -> f64 {
     digits(value).parse().unwrap_or(value)

@@ -19,12 +19,12 @@ pub const WORTHWHILE_RATIO: f64 = 1.05;
 pub const COSTLY_RATIO: f64 = 0.99;
 
 /// Maximum number of halvings in the search for a washout corner.
-const HALVINGS: i32 = 10;
+const MAX_HALVINGS: i32 = 10;
 
-/// Halves `corner` (Hz) repeatedly and returns the first corner that is `free`.
-pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
-    for lower in (1..=HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
-        if free(lower)? {
+/// Halves `corner` (Hz) repeatedly and returns the first corner for which `is_harmless` returns true.
+pub fn lower_corner<E>(corner: f64, is_harmless: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
+    for lower in (1..=MAX_HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
+        if is_harmless(lower)? {
             return Ok(Some(lower));
         }
     }
@@ -63,7 +63,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// Returns the domain with this feed-forward. For a washout that was not requested, returns that of equation (4).
+    /// Returns the domain with this feed-forward; the domain of equation (4) for a washout that was not requested.
     #[must_use]
     pub fn of(&self, feed_forward: FeedForward) -> &Domain {
         match feed_forward {
@@ -75,7 +75,7 @@ impl Range {
 }
 
 /// Predicts the stable domains of `device` in `around`: without feed-forward, with it, and with it behind a washout at
-/// `washout_hz`. The dampings are `kd` (N s/m) or [`BOUNDARY_POINTS`] evenly spaced ones.
+/// `washout_hz`. The dampings are `kd` (N s/m) or [`BOUNDARY_POINTS`] evenly spaced dampings.
 pub fn predict(
     device: &Linearised,
     around: &Loop,

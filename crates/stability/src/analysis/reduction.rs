@@ -1,4 +1,4 @@
-//! Reduces a rigid device to the motions that affect the wall, as [`super::flexible_reduction`] a compliant one.
+//! Reduces a rigid device to the motions that affect the wall. [`super::flexible_reduction`] reduces compliant devices.
 
 use super::flexible_reduction;
 use super::plant::{ContinuousPlant, Drive, Lags, Linearised};

@@ -111,10 +111,10 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Builds the loop of a device without posture control, for a controller with the model `believed`.
-    pub fn with_believed_model(
+    /// Builds the loop of a device without posture control, for a controller with this `model` of the device.
+    pub fn with_model(
         device: &Linearised,
-        believed: &Linearised,
+        model: &Linearised,
         around: &Loop,
         mode: Mode,
     ) -> Result<Self, AnalysisError> {
@@ -143,30 +143,30 @@ impl OpenLoop {
         }
 
         // Each direction is the torque of one force unit of an input, in metres.
-        let shaped = believed.shaped_torque();
+        let shaped = model.shaped_torque();
         let mut directions = match mode {
             Mode::Off => vec![device.row.clone()],
             Mode::Full => vec![shaped.clone()],
             Mode::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
         };
         let walls = directions.len();
-        let projected = &believed.mass * &believed.unit_motion / believed.w_rr();
+        let projected = &model.mass * &model.unit_motion / model.w_rr();
         if compensated {
             // Equation: τ += (I - M E Wrr⁻¹ Eᵀ) B q̇. Each damped joint has an input, its velocity per sample.
             for joint in (0..joints).filter(|&j| is_damped(device, j, sample_s)) {
-                let mut column = &projected * -believed.unit_motion[joint];
+                let mut column = &projected * -model.unit_motion[joint];
                 column[joint] += 1.0;
-                directions.push(column * (believed.viscous[joint] * sample_s / mass));
+                directions.push(column * (model.viscous[joint] * sample_s / mass));
             }
         }
         let inputs = DMatrix::from_columns(&directions);
         let plant =
             reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
         // Acceleration per sample² for one unit of each input: first along the normal, then of each joint.
-        let inverse = believed.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
+        let inverse = model.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let given = inverse * &inputs * mass;
         let pushes = DMatrix::from_fn(joints + 1, inputs.ncols(), |i, input| match i {
-            0 => believed.row.dot(&given.column(input)),
+            0 => model.row.dot(&given.column(input)),
             joint => given[(joint - 1, input)],
         });
         Ok(assemble(device, around, mode, &plant, walls, mass, &pushes))
@@ -242,7 +242,7 @@ fn assemble(
     };
     let mut loop_ = Assembly::new(size);
 
-    // Compute the controller's inputs and its command at this sample.
+    // Computes the controller's inputs and its command at this sample.
     let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut commands = vec![force.clone()];
@@ -324,7 +324,7 @@ fn assemble(
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
             }
-            // Set the estimators' states for constant velocities (zero along the normal) and commands.
+            // Sets the estimators' states for constant velocities (zero along the normal) and commands.
             let commands = DVector::from_column_slice(&constant);
             let given =
                 |row: usize| if around.estimator.uses_commands() { pushes.row(row).tr_dot(&commands) } else { 0.0 };

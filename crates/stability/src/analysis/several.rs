@@ -68,16 +68,16 @@ pub struct WallSet {
     flexible: Flexible,
 }
 
-/// Builds the loop of one wall, with posture control if the device has it. The controller uses the model `believed`.
+/// Builds the loop of one wall, with posture control if the device has it, for a controller with this `model`.
 pub(super) fn open_loop(
     device: &Linearised,
-    believed: &Linearised,
+    model: &Linearised,
     around: &Loop,
     mode: Mode,
 ) -> Result<OpenLoop, AnalysisError> {
     match device.flexible.posture {
-        Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
-        None => OpenLoop::with_believed_model(device, believed, around, mode),
+        Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, model), around, mode)?.single_loop()),
+        None => OpenLoop::with_model(device, model, around, mode),
     }
 }
 
@@ -96,14 +96,14 @@ impl WallSet {
     pub fn of(subject: &Subject, q: &[f64], walls: &[Member], admissible: Admissible) -> Result<Self, PoseError> {
         let mechanism = &subject.device.mechanism;
         TaskPose::of(mechanism, q)?.regular()?;
-        with_mechanism!(mechanism, m => linearised(m, subject, q, walls, admissible))
+        with_mechanism!(mechanism, m => linearise_walls(m, subject, q, walls, admissible))
     }
 
-    /// Creates a set of one wall on a device whose controller uses the model `believed`.
-    fn of_one(device: &Linearised, believed: &Linearised) -> Self {
+    /// Creates a set of one wall on a device whose controller has this `model`.
+    fn of_one(device: &Linearised, model: &Linearised) -> Self {
         let joints = device.mass.nrows();
-        let unit = &believed.unit_motion;
-        let back = &believed.mass * unit * unit.transpose() / believed.w_rr();
+        let unit = &model.unit_motion;
+        let back = &model.mass * unit * unit.transpose() / model.w_rr();
         Self {
             first: device.flexible.normal.clone(),
             mass: device.mass.clone(),
@@ -111,7 +111,7 @@ impl WallSet {
             directions: DMatrix::from_columns(std::slice::from_ref(&device.flexible.normal)),
             rows: DMatrix::from_rows(&[device.row.transpose()]),
             stiffness: DVector::from_element(1, 1.0),
-            shaped: DMatrix::from_columns(&[believed.shaped_torque()]),
+            shaped: DMatrix::from_columns(&[model.shaped_torque()]),
             bias: DMatrix::identity(joints, joints) - back,
             flexible: device.flexible.clone(),
         }
@@ -143,7 +143,7 @@ impl WallSet {
     }
 
     /// Returns the tip's unit direction in the stiffest motion, on the first wall's side.
-    pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
+    pub fn stiffest_direction(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.acceleration(feed_forward)?;
         let fastest = 1.0 / self.effective_inertia(feed_forward)?;
         let rest = &answer - DMatrix::identity(answer.nrows(), answer.ncols()) * fastest;
@@ -153,9 +153,9 @@ impl WallSet {
         Some(if along.dot(&self.first) < 0.0 { -along } else { along })
     }
 
-    /// Returns the direction half way between the stiffest ones without and with the feed-forward.
-    pub fn between_stiffest(&self) -> Option<DVector<f64>> {
-        let (without, with) = (self.stiffest(false)?, self.stiffest(true)?);
+    /// Returns the direction half way between the stiffest directions without and with the feed-forward.
+    pub fn middle_of_stiffest_directions(&self) -> Option<DVector<f64>> {
+        let (without, with) = (self.stiffest_direction(false)?, self.stiffest_direction(true)?);
         let turned = if with.dot(&without) < 0.0 { -with } else { with };
         Some((without + turned).normalize())
     }
@@ -184,7 +184,7 @@ impl WallSet {
     }
 }
 
-fn linearised<const N: usize, M: Mechanism<f64, N>>(
+fn linearise_walls<const N: usize, M: Mechanism<f64, N>>(
     m: &M,
     subject: &Subject,
     q: &[f64],
@@ -296,7 +296,7 @@ impl WallLoops {
             return Err(AnalysisError::CompensatedFlexible);
         }
         let lags = Lags::new(&around.drive, joints, t);
-        // With posture control, use the reduction for compliant devices because it removes unmeasured motions.
+        // With posture control, uses the reduction for compliant devices because it removes unmeasured motions.
         let rendered_plant = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
             true => rigid_plant(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {

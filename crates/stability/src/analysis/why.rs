@@ -73,7 +73,7 @@ pub struct Shares {
 
 /// The result of `haptic range --why`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Why {
+pub struct EffectShares {
     /// Limits with all effects.
     pub limits: LimitPair,
     /// Shares of the effects.
@@ -90,7 +90,8 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     let delay_samples = around.delay_samples * RATE_FACTOR as f64;
     if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * RATE_FACTOR <= LONGEST_DIFFERENCE) {
         // Delay, filter and window keep their lengths in seconds.
-        let estimator = if samples > 1 { around.estimator.over(samples * RATE_FACTOR) } else { around.estimator };
+        let estimator =
+            if samples > 1 { around.estimator.with_window(samples * RATE_FACTOR) } else { around.estimator };
         let faster = Loop { rate_hz: around.rate_hz * RATE_FACTOR as f64, delay_samples, estimator, ..around.clone() };
         add("sampling", "ten times the rate", device.clone(), faster);
     }
@@ -102,11 +103,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     }
     if around.estimator.cutoff_hz().is_some() {
         let bare = LinearEstimator::BackwardDifference;
-        let estimator = if samples > 1 { bare.over(samples) } else { bare };
+        let estimator = if samples > 1 { bare.with_window(samples) } else { bare };
         add("filter", "no filter", device.clone(), Loop { estimator, ..around.clone() });
     }
     if samples > 1 {
-        let estimator = around.estimator.over(1);
+        let estimator = around.estimator.with_window(1);
         add("difference", "over one sample", device.clone(), Loop { estimator, ..around.clone() });
     }
     if device.flexible.transmissions.iter().any(Option::is_some) {
@@ -136,7 +137,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
 /// Name of an effect, the replacing condition, and the limits without the effect.
 pub type LimitsWithout = (&'static str, &'static str, Option<Limits>);
 
-/// Returns the limits for one feed-forward with all effects and without each effect, in the order of [`why`].
+/// Returns the limits for one feed-forward, with all effects and without each, in the order of [`explain_boundary`].
 pub fn limits_without(
     device: &Linearised,
     around: &Loop,
@@ -150,7 +151,7 @@ pub fn limits_without(
 }
 
 /// Computes the share of each effect in the boundary of `device` in `around`, always in the same order.
-pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
+pub fn explain_boundary(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<EffectShares, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
     let jobs: Vec<(&Case, Mode)> =
@@ -178,5 +179,5 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
             takes_area: shares(|limits| limits.area),
         }
     });
-    Ok(Why { limits, effects: effects.collect() })
+    Ok(EffectShares { limits, effects: effects.collect() })
 }

@@ -66,7 +66,7 @@ impl Theory {
     fn felt_stiffness(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
         // The corner does not matter, because a washout has no effect at rest.
-        device.felt(Mode::of(mode, 0.0), kp)
+        device.felt_stiffness(Mode::of(mode, 0.0), kp)
     }
 
     fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
@@ -119,7 +119,7 @@ impl Report<'_> {
 
     /// Returns the points at dampings of the plan; a progress file may contain other dampings too.
     fn planned_points(&self, mode: FeedForward) -> Vec<&Point> {
-        self.plan.points_of_plan(self.progress.all(mode))
+        self.plan.points_of_plan(self.progress.points_of_mode(mode))
     }
 
     pub fn write(&self) -> Result<(), Failure> {
@@ -146,7 +146,7 @@ impl Report<'_> {
              the tip, or friction that holds a joint; remove the cause and measure again with --anew",
             listed(&rows)
         );
-        Ok(if rows.is_empty() { Vec::new() } else { vec![FileWarning { key: None, text }.typed()] })
+        Ok(if rows.is_empty() { Vec::new() } else { vec![FileWarning { key: None, text }.for_command_line()] })
     }
 
     fn washout(&self) -> Option<f64> {
@@ -171,7 +171,7 @@ impl Report<'_> {
 
     /// Returns the longest pull of this strength, mm.
     fn pull_mm(&self, strength: f64) -> f64 {
-        (self.theory.excitation.largest * strength * 1e6).round() / 1e3
+        (self.theory.excitation.longest_pull * strength * 1e6).round() / 1e3
     }
 
     fn drive(&self) -> String {
@@ -233,7 +233,7 @@ impl Report<'_> {
                 if let (Some(why), true) = (&point.open, point.repeats.is_empty()) {
                     row("", [String::new(), format!("> {:.0}", why.stable_up_to), String::new()], "");
                 }
-                for (pull, repeats) in self.plan.by_pull(point) {
+                for (pull, repeats) in self.plan.repeats_by_pull(point) {
                     let (median, (low, high)) = (median(&repeats), bounds(&repeats));
                     let felt = self.theory.felt_stiffness(mode, median);
                     let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
@@ -295,7 +295,7 @@ impl Report<'_> {
     /// Describes the encoders that a measurement up to `stiffness` (N/m) needs, if the present ones are too coarse.
     fn encoder_advice(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
-        let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
+        let factor = 2.0 * self.theory.excitation.shortest_pull() * stiffness / force;
         if factor <= 1.0 {
             return String::new();
         }
@@ -328,7 +328,7 @@ impl Report<'_> {
                 furthest: apart.fold(0.0, f64::max),
                 spread: points
                     .iter()
-                    .flat_map(|(point, _)| self.plan.by_pull(point))
+                    .flat_map(|(point, _)| self.plan.repeats_by_pull(point))
                     .map(|(_, repeats)| spread(&repeats))
                     .fold(0.0, f64::max),
             });
@@ -344,7 +344,7 @@ impl Report<'_> {
                 let found = (!point.repeats.is_empty()).then(|| (self.plan.stiffness_at_every_pull(point), low, high));
                 let pulls: Vec<_> = self
                     .plan
-                    .by_pull(point)
+                    .repeats_by_pull(point)
                     .into_iter()
                     .map(|(pull, repeats)| {
                         let (low, high) = bounds(&repeats);
@@ -397,7 +397,7 @@ impl Report<'_> {
         let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * DOT_DISTANCE;
         let dots = |mode| -> Vec<MeasuredPoint> {
             let of = |point: &Point| {
-                let (kd, pulls) = (point.kd, self.plan.by_pull(point).into_iter().enumerate());
+                let (kd, pulls) = (point.kd, self.plan.repeats_by_pull(point).into_iter().enumerate());
                 let dot = |(nth, (_, repeats)): (usize, (f64, Vec<f64>))| {
                     let (low, high) = bounds(&repeats);
                     MeasuredPoint { kd, kp: median(&repeats), low, high, beside: beside(nth) }

@@ -4,7 +4,7 @@ use super::Args;
 use crate::commands::arguments::Numbers;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed, Ripple, RippleLine};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, PressedWall, Ripple, RippleLine};
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::prediction::Prediction;
@@ -88,7 +88,8 @@ pub fn simulate_ripple(
     }
     let hand = if args.hand.is_some() { args.hand()? } else { LIGHT_HAND };
     let (q, normal) = (q.to_vec(), normal.clone());
-    let pressed = Pressed { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
+    let pressed =
+        PressedWall { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
     let no_encoders = || {
         Failure::wrong(format!("{} has joints without [joint.encoder]", args.at.device.display()))
             .remedy("ripple comes from encoder steps: add the encoders")
@@ -104,7 +105,7 @@ pub fn simulate_ripple(
             None => vec![DampingRule::Ratio(ratio)],
         };
         for line in dampings {
-            let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(no_encoders);
+            let along = |mode| pressed.ripple_line(mode, line, bound_n, sweep)?.ok_or_else(no_encoders);
             let (damping_ratio, kd) = match line {
                 DampingRule::Ratio(ratio) => (Some(ratio), None),
                 DampingRule::Damping(kd) => (None, Some(kd)),

@@ -12,7 +12,7 @@ use haptic_stability::analysis::range::{
     BoundaryPoint, COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner,
 };
 use haptic_stability::analysis::sampled::LinearEstimator;
-use haptic_stability::analysis::why::{LimitPair, Limits, Why};
+use haptic_stability::analysis::why::{EffectShares, LimitPair, Limits};
 use std::fmt::Write;
 
 /// Returns two lines for titles: pose and walls, and the loop.
@@ -166,10 +166,10 @@ pub fn readable(
     if let Some(passivity) = passivity {
         line(format!(
             "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
-            passivity.sampled(0.0),
+            passivity.largest_stiffness(0.0),
             passivity.largest_damping()
         ));
-        if let Some(limit) = passivity.quantised() {
+        if let Some(limit) = passivity.largest_undamped_stiffness() {
             line(format!(
                 "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
             ));

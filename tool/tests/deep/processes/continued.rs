@@ -7,12 +7,12 @@ use crate::common::{haptic, ideal_loop, send_signal, shipped_device, shipped_pat
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare};
 use haptic_predict::design::place::places;
-use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, PressedWall};
 use haptic_predict::tune::{Question, tune};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::map::map_swept;
-use haptic_stability::analysis::why::why;
+use haptic_stability::analysis::why::explain_boundary;
 use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -75,11 +75,11 @@ fn an_interrupted_range_continues() {
     let device = Linearised::at(&file.description, &q, &normal).unwrap().with_hand(hand);
     let ideal = ideal_loop(1_000.0, 0.5, LinearEstimator::Butterworth(100.0));
     let around = Loop { drive: Drive::Current { bandwidth_hz: 500.0 }, ..ideal };
-    check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
+    check_interrupted(2, 12, |sweep| explain_boundary(&device, &around, sweep));
     let description = file.description;
     let (hand, push_n) = (LIGHT_HAND, PUSH_N);
-    let press = Pressed { device: &device, description, q, normal, around: &around, hand, push_n };
-    check_interrupted(2, 12, |sweep| press.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
+    let press = PressedWall { device: &device, description, q, normal, around: &around, hand, push_n };
+    check_interrupted(2, 12, |sweep| press.ripple_line(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 
 #[cfg(unix)]

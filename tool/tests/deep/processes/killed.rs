@@ -6,7 +6,7 @@ use crate::common::sim::{Sim, wait_until};
 use crate::common::{haptic, send_signal, shipped_path};
 use assert_cmd::cargo::cargo_bin;
 use haptic_host::link::{Board, SerialWire};
-use haptic_predict::measure::before::Before;
+use haptic_predict::measure::earlier_settings::EarlierSettings;
 use haptic_predict::measure::progress::Progress;
 use haptic_predict::measure::rules_for;
 use haptic_show::recorder::Recording;
@@ -295,7 +295,7 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
     let note = folder.path().join("note.json");
     {
         let mut board = Board::open(&sim.port.parse().unwrap()).unwrap();
-        let saved_before = Before::of(&mut board).unwrap();
+        let saved_before = EarlierSettings::of(&mut board).unwrap();
         let measuring = rules_for(saved_before.rules(), 1.0);
         let mut progress = Progress::new("any");
         progress.before = saved_before.restore_point(&board.info().serial, &measuring);

@@ -3,7 +3,7 @@
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, shipped_device};
-use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, PressedWall};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 
@@ -15,20 +15,20 @@ fn with_pressed_wall<T>(
     normal: &[f64],
     hand: Option<Hand>,
     (rate_hz, estimator): (f64, LinearEstimator),
-    work: impl FnOnce(&Pressed<'_>) -> T,
+    work: impl FnOnce(&PressedWall<'_>) -> T,
 ) -> T {
     let description = shipped_device(device).description;
     let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
     let device = Linearised::at(&description, &q, normal).unwrap().with_hand(hand.unwrap_or_default());
     let around = ideal_loop(rate_hz, 0.0, estimator);
     let (normal, hand) = (normal.to_vec(), hand.unwrap_or(LIGHT_HAND));
-    work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
+    work(&PressedWall { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
 }
 
 /// Returns the largest damping, N s/m, up to which a wall's ripple is within the bound, in steps of 10 % from `least`.
-fn max_quiet_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
+fn max_quiet_damping(pressed: &PressedWall<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
-    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(RIPPLE_BOUND_N);
+    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().is_within(RIPPLE_BOUND_N);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
@@ -41,8 +41,10 @@ fn spring_limits(rate_hz: f64) -> (f64, f64) {
         Some(hand),
         (rate_hz, LinearEstimator::BackwardDifference),
         |pressed| {
-            let along =
-                pressed.along(Mode::Off, DampingRule::Damping(0.0), RIPPLE_BOUND_N, &Sweep::quiet()).unwrap().unwrap();
+            let along = pressed
+                .ripple_line(Mode::Off, DampingRule::Damping(0.0), RIPPLE_BOUND_N, &Sweep::quiet())
+                .unwrap()
+                .unwrap();
             (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
         },
     )
@@ -84,7 +86,7 @@ fn velocities_over_ten_samples_keep_the_damping_of_a_slow_loop() {
         })
     };
     let bare = LinearEstimator::BackwardDifference;
-    let (slow, uniform, dual) = (of(2_000.0, bare), of(20_000.0, bare), of(20_000.0, bare.over(10)));
+    let (slow, uniform, dual) = (of(2_000.0, bare), of(20_000.0, bare), of(20_000.0, bare.with_window(10)));
     assert!(uniform.0 < 0.5 * slow.0, "{slow:?} {uniform:?}");
     assert!(dual.0 > 0.8 * slow.0, "{slow:?} {dual:?}");
     assert!(dual.1 > slow.1, "the fast position gains no area: {slow:?} {dual:?}");

@@ -7,7 +7,7 @@ use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
 use haptic_predict::design::{clearance, within_limits};
 use haptic_stability::analysis::control_loop::TorquePath;
-use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::map::effective_inertias;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
 const ADMISSIBLE_SET: Admissible = Admissible::Orientation;
@@ -91,7 +91,8 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
     let wider_pose = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
     assert!((wider_pose.position[0] - x).abs() < 1e-12 && (wider_pose.position[1] - y).abs() < 1e-12);
     let normal = unit_normal(&n, 2, 2).unwrap();
-    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&wider_pose, &normal).unwrap());
+    let ((a, b), (c, d)) =
+        (effective_inertias(&before, &normal).unwrap(), effective_inertias(&wider_pose, &normal).unwrap());
     assert!((base.w_eff / (c / a) - 1.0).abs() < 1e-9 && (base.w_rr / (d / b) - 1.0).abs() < 1e-9, "{base:?}");
 }
 
@@ -118,13 +119,13 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
                 continue;
             }
             tried += 1;
-            let (w_eff, w_rr) = along(&pose, &n).unwrap();
+            let (w_eff, w_rr) = effective_inertias(&pose, &n).unwrap();
             assert!(w_eff <= along_n.off.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.off);
             assert!(w_rr <= along_n.full.w_rr * 1.01, "{name}: {w_rr} kg at {q:?}, {:?}", along_n.full);
             assert!(w_eff >= along_n.worst.w_eff * 0.99, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.worst);
             for angle in [0.0_f64, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0] {
                 let other_normal = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
-                let (w_eff, w_rr) = along(&pose, &other_normal).unwrap();
+                let (w_eff, w_rr) = effective_inertias(&pose, &other_normal).unwrap();
                 assert!(w_eff <= found.stiffest.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}");
                 let ratio = found.feed_forward_buys_most.w_rr / found.feed_forward_buys_most.w_eff;
                 assert!(w_rr / w_eff <= ratio * 1.01, "{name}: {} at {q:?}, {ratio}", w_rr / w_eff);
@@ -193,7 +194,7 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
         if clearance(&pose) < clear {
             continue;
         }
-        let (w_eff, w_rr) = along(&pose, &normal).unwrap();
+        let (w_eff, w_rr) = effective_inertias(&pose, &normal).unwrap();
         (max_eff, min_eff) = (max_eff.max(w_eff), min_eff.min(w_eff));
         (max_rr, min_rr) = (max_rr.max(w_rr), min_rr.min(w_rr));
     }

@@ -84,7 +84,7 @@ fn the_budget_is_kept_at_poses_that_the_planner_did_not_use() {
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
         let law = Law::of(&file.scene, &device).unwrap();
         let way = TorqueVariant { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
-        let errors = errors(&device, &elsewhere, &way).given;
+        let errors = errors(&device, &elsewhere, &way).unfaded_errors;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }
 }

@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped_device, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, accepted_wall, to_toml, tune, vertex};
+use haptic_predict::tune::{Margins, Question, Settings, accepted_wall, extreme_device, to_toml, tune};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
@@ -46,7 +46,8 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
             let device = at(description);
             1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
         };
-        let found = inertia(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
+        let found =
+            inertia(&extreme_device(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
         let mut smallest = f64::INFINITY;
         for signs in 0..1 << 7 {
             let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };

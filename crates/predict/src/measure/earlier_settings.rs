@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 
 /// Device, scene (with its control rate) and rules of a board.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Before {
+pub struct EarlierSettings {
     device: Option<DeviceData>,
     scene: Option<SceneData>,
     rules: Rules,
 }
 
-/// The part of [`Before`] that is kept in a file, for the case that the tool is killed.
+/// The part of [`EarlierSettings`] that a file stores, for the case that the tool is killed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
@@ -28,7 +28,7 @@ pub struct RestorePoint {
     measuring: Option<backup::SavedSetting>,
 }
 
-impl Before {
+impl EarlierSettings {
     /// Reads the present settings of the board.
     pub fn of(board: &mut Board) -> Result<Self, LinkError> {
         Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
@@ -46,7 +46,7 @@ impl Before {
         self.scene.as_ref().is_some_and(is_measurement)
     }
 
-    /// Returns the part for a file: scene and rules of this board, and the rules that the measurement will set.
+    /// Returns the part that a file stores: scene and rules of this board, and the rules that the measurement will set.
     #[must_use]
     pub fn restore_point(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
         let scene = match &self.scene {
@@ -57,19 +57,19 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// Returns the settings from before an interrupted measurement. Replaces rules that the measurement set by the kept
-    /// ones; keeps other rules, because a user has set them since. The flag is true if the rules equal the kept ones.
-    pub fn restored_from(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
-        let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
-        let then = kept.rules.read::<Rules>()?;
-        let rules = self.with_earlier_rules(kept)?.map_or(self.rules, |before| before.rules);
+    /// Returns the settings from before an interrupted measurement, and true if their rules are those of the file.
+    /// Rules that the measurement did not set stay, because a user has set them since.
+    pub fn restored_from(&self, restore_point: &RestorePoint) -> Result<(Self, bool), BackupError> {
+        let scene = restore_point.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
+        let then = restore_point.rules.read::<Rules>()?;
+        let rules = self.with_earlier_rules(restore_point)?.map_or(self.rules, |before| before.rules);
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
     /// Returns these settings with the earlier rules; `None` if the measurement's rules are no longer set.
-    pub fn with_earlier_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
-        let then = kept.rules.read::<Rules>()?;
-        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
+    pub fn with_earlier_rules(&self, restore_point: &RestorePoint) -> Result<Option<Self>, BackupError> {
+        let then = restore_point.rules.read::<Rules>()?;
+        let measuring = restore_point.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
         let left = measuring == Some(self.rules) && then != self.rules;
         Ok(left.then(|| Self { rules: then, ..self.clone() }))
     }
@@ -86,7 +86,7 @@ impl Before {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);
         let device = match &self.device {
-            // Load only a different device, because a real board forgets its home when a device is loaded.
+            // Loads only a different device, because a real board forgets its home when a device is loaded.
             Some(device) if board.device()?.as_ref() != Some(device) => board.set_device(device),
             _ => Ok(()),
         };
@@ -114,25 +114,25 @@ impl Before {
 mod tests {
     use super::*;
 
-    fn with_torque(torque: f32) -> Before {
+    fn with_torque(torque: f32) -> EarlierSettings {
         let mut rules = Rules::default();
         rules.limits.torque = [torque; 3];
-        Before { device: None, scene: None, rules }
+        EarlierSettings { device: None, scene: None, rules }
     }
 
     #[test]
     fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
-        let kept = before.restore_point("1", &measuring.rules).unwrap();
-        assert_eq!(measuring.restored_from(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(before.restored_from(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(measuring.with_earlier_rules(&kept).unwrap(), Some(before.clone()));
-        assert_eq!(before.with_earlier_rules(&kept).unwrap(), None);
+        let restore_point = before.restore_point("1", &measuring.rules).unwrap();
+        assert_eq!(measuring.restored_from(&restore_point).unwrap(), (before.clone(), true));
+        assert_eq!(before.restored_from(&restore_point).unwrap(), (before.clone(), true));
+        assert_eq!(measuring.with_earlier_rules(&restore_point).unwrap(), Some(before.clone()));
+        assert_eq!(before.with_earlier_rules(&restore_point).unwrap(), None);
         let lowered = with_torque(0.5);
-        assert_eq!(lowered.with_earlier_rules(&kept).unwrap(), None);
-        assert_eq!(lowered.restored_from(&kept).unwrap(), (lowered, false));
+        assert_eq!(lowered.with_earlier_rules(&restore_point).unwrap(), None);
+        assert_eq!(lowered.restored_from(&restore_point).unwrap(), (lowered, false));
         // A file of an earlier version does not contain the rules that the measurement set.
-        let kept = RestorePoint { measuring: None, ..kept };
-        assert_eq!(measuring.restored_from(&kept).unwrap(), (measuring, false));
+        let restore_point = RestorePoint { measuring: None, ..restore_point };
+        assert_eq!(measuring.restored_from(&restore_point).unwrap(), (measuring, false));
     }
 }
