@@ -28,7 +28,7 @@ fn run_polarity_check(factor: f64, resistance: f32) -> Rig {
 }
 
 fn origin(fault: Fault) -> Origin {
-    use Origin::{Reported, Step};
+    use Origin::{Report, Step};
     match fault {
         Fault::EncoderJump => Step(|| {
             let mut rig = Rig::armed_paddle();
@@ -201,7 +201,7 @@ fn origin(fault: Fault) -> Origin {
         | Fault::SupplyDip
         | Fault::ImageDamaged
         | Fault::RamDamaged
-        | Fault::WrongBoard => Reported,
+        | Fault::WrongBoard => Report,
     }
 }
 

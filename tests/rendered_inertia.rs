@@ -204,7 +204,7 @@ fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
         (Admissible::Consistent, None, 1.22),
     ] {
         let at_rest = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
-        let found = at_rest.force / at_rest.rendered / at_rest.w_eff;
+        let found = at_rest.force / at_rest.rendered_acceleration / at_rest.w_eff;
         assert!((found - ratio).abs() < 0.006, "{admissible:?}: Wrr/Weff is {found}");
         for speeds in [[0.0; 3], qd] {
             let o = step_effect(name, q, speeds, plane_near_tip(normal), |scene| scene.admissible = admissible);

@@ -5,8 +5,8 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result};
 
+use crate::document_tables;
 use crate::paths::root;
-use crate::shown;
 use crate::toolchain::{cargo, run};
 
 pub fn write(name: &str, text: &str) -> Result<()> {

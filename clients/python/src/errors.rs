@@ -52,7 +52,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
 pub fn board(error: BoardError) -> PyErr {
     match error {
         BoardError::Link(error) => link(error),
-        BoardError::Refused(_) => refused(&error.to_string()),
+        BoardError::Refused(_) => refused_error(&error.to_string()),
     }
 }
 

@@ -17,10 +17,10 @@ fn outcome_cell(file: &DeviceFile, error: &InjectedError) -> String {
     }
     match outcome(file, error) {
         Outcome::Refused(record) => format!("check: {}", record.fault.name()),
-        Outcome::Seen(record, after, harm) if harm.push > 0.0 => {
+        Outcome::Detected(record, after, harm) if harm.push > 0.0 => {
             format!("{:.2} ms: {}; {:.1} N, {:.1} rad/s", after * 1e3, record.fault.name(), harm.push, harm.speed)
         }
-        Outcome::Seen(record, after, _) => format!("{:.2} ms: {}", after * 1e3, record.fault.name()),
+        Outcome::Detected(record, after, _) => format!("{:.2} ms: {}", after * 1e3, record.fault.name()),
         Outcome::Missed(harm) => format!("no: {:.1} N, {:.1} A, {:.1} rad/s", harm.push, harm.current, harm.speed),
     }
 }

@@ -121,7 +121,7 @@ fn a_failing_sensor_pushes_no_harder_than_its_bound() {
         let error = INJECTED_ERRORS.iter().find(|error| error.what == what).unwrap();
         let harm = match outcome(&file, error) {
             Outcome::Refused(record) => panic!("{what}: {record:?}"),
-            Outcome::Seen(_, _, harm) | Outcome::Missed(harm) => harm,
+            Outcome::Detected(_, _, harm) | Outcome::Missed(harm) => harm,
         };
         assert!(harm.push < 1.7 * f64::from(GENTLE_FORCE), "{what}: {harm:?}");
     }

@@ -159,7 +159,7 @@ impl Real for DoubleDouble {
     fn from_i32(value: i32) -> Self {
         f64::from(value).into()
     }
-    fn whole(self) -> i32 {
+    fn integer_part(self) -> i32 {
         self.high as i32
     }
     fn abs(self) -> Self {
