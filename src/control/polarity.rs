@@ -361,7 +361,7 @@ where
         torque
     }
 
-    /// Continues with the next joint. Ends the check with success after the last one.
+    /// Continues with the next joint. Ends the check with success after the last joint.
     fn continue_with_next_joint(&mut self) {
         let next = self.axis() + 1;
         if next >= self.count() {

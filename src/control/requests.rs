@@ -22,7 +22,7 @@ pub const REST_SPEED: f32 = 0.2;
 pub enum Command<P> {
     /// Replaces device and scene; the reply returns the previous program.
     Program(P),
-    /// Gains of one wall, with the washout designed for them.
+    /// Gains of one wall, with the washout for these gains.
     Gains(Gains<f32>, Washout<f32>),
     /// Coefficients of the velocity estimators.
     Coefficients(Coefficients<f32>),
@@ -132,7 +132,7 @@ where
     }
 
     /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. The control
-    /// interrupt calls them in two carrier periods, because one has no time for both while the motors are on.
+    /// interrupt calls the two in separate carrier periods, because a period has no time for both.
     pub fn replace(&mut self, mut program: P) -> Reply<P> {
         match self.accepts(&mut program) {
             Ok(()) => (Ok(()), self.install(program)),

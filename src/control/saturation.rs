@@ -55,7 +55,7 @@ where
         margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
         if self.compensates_weight {
             for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
-                // If weight and force fit together with any signs, each of them and their sum fit.
+                // If the sum of the magnitudes of weight and force fits, then weight, force and their sum fit.
                 let both = gravity[i].abs() + rendered[i].abs();
                 margin |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
