@@ -313,7 +313,7 @@ impl Packer {
         full.then(|| &self.batches[!self.open_batch & 1])
     }
 
-    /// Returns the unfinished batch if it holds a row. Call on a slow stream, so that rows do not wait.
+    /// Returns the unfinished batch if the batch holds a row. Call on a slow stream, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
         if self.batches[self.open_batch & 1].rows.is_empty() {
             return None;

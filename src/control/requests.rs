@@ -234,7 +234,7 @@ where
         // Rates that differ by a rounding error may have the same period but different carriers.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // Without a program, no time was counted, and no step existed that a host could have read.
+        // Without a program no steps were counted, so a host cannot have read a step.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
