@@ -354,8 +354,8 @@ impl InterruptState {
         }
     }
 
-    /// Records the duration of this crest's work. If the work lasts past the valley, the duties of the next crests count
-    /// as late. If the work lasts past the next crest, an overrun is counted.
+    /// Records the duration of this crest's work. If the work lasts past the valley, the duties of the next crests
+    /// count as late. If the work lasts past the next crest, an overrun is counted.
     #[cold]
     #[inline(never)]
     fn record_time(&mut self) {

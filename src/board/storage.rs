@@ -294,7 +294,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores a new entry and reads the entry back. Stalls the program, so the bridges must be off.
+    /// Stores an entry that is not stored yet, and reads the entry back. Stalls the program, so bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;
