@@ -103,7 +103,7 @@ pub struct ControlLoop<P, S = Axis> {
     /// True if telemetry includes the walls' energy.
     shows_energy: bool,
     host: host_force::HostForce,
-    /// Torques of the previous scene while they fade out.
+    /// Torques of the previous scene, which fade out.
     fade: fade::Fade,
     /// Torques of the last step that commanded less than was requested.
     cut_torques: fade::CommandedTorques,

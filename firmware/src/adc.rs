@@ -22,7 +22,7 @@ pub fn inputs<const N: usize>(pins: [Flex<'static>; N]) {
     }
 }
 
-/// Configures one converter for an injected sequence of up to four channels. Its clock must be on.
+/// Configures a converter, whose clock must be on, for an injected sequence of up to four channels.
 pub fn configure(adc: Adc, channels: &[u8]) {
     pac::ADC123_COMMON.ccr().modify(|w| w.set_adcpre(pac::adccommon::vals::Adcpre::DIV4));
     let channels = &channels[..channels.len().min(4)];
@@ -63,7 +63,7 @@ pub fn wait(one: Adc, other: Adc) -> bool {
 #[inline(always)]
 pub fn clear_flags(adc: Adc) {
     adc.sr().write(|w| {
-        // Flags are cleared by writing 0; writing 1 leaves them.
+        // Writing 0 clears a flag, and writing 1 leaves the flag unchanged.
         w.0 = 0x3F;
         w.set_jeoc(false);
         w.set_jstrt(false);

@@ -1,5 +1,5 @@
 //! Clocks from an 8 MHz crystal: 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
-//! [`TIMER_HZ`]), 42 MHz for the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
+//! [`TIMER_HZ`]), 42 MHz for the slow bus (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
 //! section 7.2. The tasks use embassy's clock, on TIM5.
 
 use embassy_stm32::interrupt;
@@ -16,7 +16,7 @@ use crate::critical;
 pub const TIMER_HZ: u32 = 168_000_000;
 /// Line of the supply monitor's interrupt in the interrupt controller.
 const SUPPLY_LINE: usize = 16;
-/// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182).
+/// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another identifier (errata sheet ES0182).
 const DEVICE_ID_AFTER_REVISION_A: u16 = 0x413;
 
 /// Waits until the chip's supply is above `level` of its monitor, because below 2.7 V the flash is too slow for the

@@ -1,4 +1,4 @@
-//! The power stage for the tasks, which enable it before the motors are armed, and check it while they are on.
+//! The power stage, which the tasks enable before the motors are armed and check while the motors are on.
 
 use haptic_bridge::safety::fault::Fault;
 

@@ -251,7 +251,7 @@ impl InterruptState {
         increment(&CONTROL.shared.late_steps);
     }
 
-    /// Writes late duties, which wait for the valley if it has not passed. See [`InterruptState::write`].
+    /// Writes late duties as [`InterruptState::write`] does. The duties wait for the valley if it is still ahead.
     fn write_late(&mut self, drives: bool) {
         if self.is_driving && !drives {
             self.float_bridges();
@@ -354,8 +354,8 @@ impl InterruptState {
         }
     }
 
-    /// Records the duration of this crest. If it ends past the valley, the duties of the next crests count as late. If
-    /// it ends past the next crest, an overrun is counted.
+    /// Records the duration of this crest's work. If the work lasts past the valley, the duties of the next crests
+    /// count as late. If the work lasts past the next crest, an overrun is counted.
     #[cold]
     #[inline(never)]
     fn record_time(&mut self) {

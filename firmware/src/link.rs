@@ -47,7 +47,7 @@ pub fn device(
     static STATE: StaticCell<State> = StaticCell::new();
 
     let mut hardware = usb::Config::default();
-    // PA9 cannot sense the USB voltage, because it is a gate signal on these boards.
+    // PA9 cannot sense the USB voltage, because PA9 is a gate signal on these boards.
     hardware.vbus_detection = false;
     let driver = Driver::new_fs(peripheral, Irqs, dp, dm, &mut OUT.take().0, hardware);
 

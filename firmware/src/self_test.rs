@@ -90,8 +90,8 @@ unsafe extern "C" {
     static __edata: u8;
 }
 
-/// Compares the image's checksum with the one that `cargo fw` wrote. The checksum covers the vectors, then everything
-/// from the first instruction to the last initial value of a static. Call once, before the watchdog runs.
+/// Compares the image's checksum with the checksum that `cargo fw` wrote. Both cover the vectors, then everything from
+/// the first instruction to the last initial value of a static. Call once, before the watchdog runs.
 pub fn check_image() {
     let initial = addr_of!(__edata) as usize - addr_of!(__sdata) as usize;
     let parts = [

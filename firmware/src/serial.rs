@@ -172,7 +172,7 @@ fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
 }
 
 impl SendQueue {
-    /// Passes the next packet to the USB core, if the previous one has left.
+    /// Passes the next packet to the USB core, if the previous packet has left.
     #[inline(never)]
     fn send_next_packet(&mut self) {
         let Some(frame) = self.waiting.front() else { return };

@@ -44,7 +44,7 @@ pub fn late_share() -> f32 {
     f32::from_bits(LATE_SHARE.load(Ordering::Relaxed))
 }
 
-/// Adds `steps` control steps, `late` of them late, to the share of late steps.
+/// Updates the share of late steps with `steps` control steps, of which `late` were late.
 fn add_late(late: u32, steps: u32) {
     let weight = (steps as f32 / LATE_WINDOW).min(1.0);
     let share = if steps > 0 { late as f32 / steps as f32 } else { 0.0 };

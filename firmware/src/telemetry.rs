@@ -42,7 +42,7 @@ impl TelemetryStream {
         self.last_batch.is_some()
     }
 
-    /// Packs the waiting frames. Returns a batch if one is full or has waited for [`MAX_ROW_WAIT`].
+    /// Packs the waiting frames. Returns a batch that is full or has waited for [`MAX_ROW_WAIT`].
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
         let late = Instant::now().saturating_duration_since(self.last_batch?) > MAX_ROW_WAIT;
         let dropped = interrupt::shared().frames_dropped.load(Ordering::Relaxed);

@@ -28,7 +28,7 @@ static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
 static WORST_ZERO_DISTANCE: AtomicU16 = AtomicU16::new(0);
 
-/// The zeros of a board's current sensors, and the mean distance of the readings from them, counts.
+/// The zeros of a board's current sensors, and the mean distance of the readings from the zeros, counts.
 pub struct Zeros<const N: usize>([f32; N], [f32; N]);
 
 impl<const N: usize> Zeros<N> {

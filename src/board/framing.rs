@@ -1,7 +1,7 @@
 //! Frames on the wire: COBS, which removes all zeros from a frame, and a zero after each frame.
 //!
 //! Written for a 32-bit processor with little time: bytes without zeros are handled four at a time, and received bytes
-//! are decoded as they arrive. tests/framing.rs compares both with the `cobs` crate.
+//! are decoded as they arrive. tests/framing.rs compares the results with the `cobs` crate.
 
 use crate::board::protocol::MAX_FRAME;
 use core::cell::Cell;

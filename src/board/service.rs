@@ -369,7 +369,7 @@ impl Service {
         Ok(())
     }
 
-    /// Turns the motors on. With a `key`, they stay on only while it is held.
+    /// Turns the motors on. With a `key`, the motors stay on only while the key is held.
     pub fn arm(&mut self, machine: &mut impl Machine, key: Option<Press>) -> Result<(), Refusal> {
         if self.configuration.device.is_none() {
             return Err(Refusal::NoDevice);

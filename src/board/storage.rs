@@ -231,7 +231,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.unreadable_settings = 0;
         self.map.flash().is_writable = true;
         let result = work(self);
-        // An unreadable entry makes the map lose all places, so the other entries are located again without it.
+        // The map loses all places at an unreadable entry, so the readable entries are located again.
         loop {
             let before = self.unreadable_settings;
             for key in 1..DECISION_KEY {
@@ -294,7 +294,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores an entry unless it is stored already, and reads it back. Stalls the program, so bridges must be off.
+    /// Stores an entry that is not stored yet, and reads the entry back. Stalls the program, so bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;

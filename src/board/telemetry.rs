@@ -236,7 +236,7 @@ pub trait Frames {
     fn drop_first(&mut self);
 }
 
-/// Packs frames into batches. One batch is filled while the other is sent.
+/// Packs frames into two batches. One batch is filled while the other batch is sent.
 #[derive(Clone, Debug, Default)]
 pub struct Packer {
     batches: [Batch; 2],
@@ -313,7 +313,7 @@ impl Packer {
         full.then(|| &self.batches[!self.open_batch & 1])
     }
 
-    /// Returns the unfinished batch if it holds a row. Call on a slow stream, so that rows do not wait.
+    /// Returns the unfinished batch if the batch holds a row. Call on a slow stream, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
         if self.batches[self.open_batch & 1].rows.is_empty() {
             return None;
@@ -322,7 +322,7 @@ impl Packer {
         Some(&self.batches[full & 1])
     }
 
-    /// Finishes and numbers the present batch, and continues with the other. Returns the index of the finished batch.
+    /// Finishes and numbers the open batch, and opens the other batch. Returns the index of the finished batch.
     fn finish_batch(&mut self) -> usize {
         let full = self.open_batch & 1;
         self.batches[full].number = self.finished_batches;

@@ -349,7 +349,7 @@ where
         let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
         let heat = clamp(core::mem::take(&mut sums.current_squares) * period, f32::MAX);
-        // The heat is also updated while the motors are off, because they cool.
+        // The heat is also updated while the motors are off, because the motors cool.
         if motor.warm(heat, elapsed) {
             spent = Some((Fault::ThermalBudget, current));
         }

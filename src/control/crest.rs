@@ -140,7 +140,7 @@ enum UnusualCrest {
     Crest,
     /// The step has begun and must be checked for a fault.
     Step,
-    /// The scene is not in force, or the limits cut its torques in this step or the previous one.
+    /// The scene is not in force, or limits cut the scene's torques in this step or the previous step.
     Torques,
 }
 

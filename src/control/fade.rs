@@ -28,10 +28,10 @@ pub(super) struct CommandedTorques {
     pub share: f32,
 }
 
-/// Torques of a host while they fade out.
+/// Torques of a host, which fade out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    /// Torques at the lease's start, N m; they fall in proportion to the remaining time.
+    /// Torques at the lease's start, N m. The torques fall in proportion to the remaining time.
     torque: Torques,
     /// Time from the lease's start to its end, s.
     duration: f32,
@@ -45,7 +45,7 @@ impl Lease {
     }
 }
 
-/// Torques of the previous scene while they fade out. The default is zero.
+/// Torques of the previous scene, which fade out. The default is zero.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Fade {
     /// Progress of the new scene from 0 to 1.
@@ -90,7 +90,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Starts to fade from the last step's torques to those of a new program. Call before the new program is installed.
+    /// Starts to fade from the last step's torques to a new program's torques. Call before installing the new program.
     pub(super) fn begin_fade(&mut self) {
         // If no step ran between two programs, the earlier torques already fade.
         if !self.fade.has_begun {

@@ -26,7 +26,7 @@ pub struct Samples {
 /// Result of one control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outputs {
-    /// True if the bridges may drive; false if they must float.
+    /// True if the bridges may drive; false if the bridges must float.
     pub bridges: bool,
 }
 

@@ -43,9 +43,9 @@ pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
 /// entries that the device does not have are zero. The default requests no force and only reads the device's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceRequest {
-    /// Increases with every request, wrapping. A request that is not newer than the last accepted one is rejected.
+    /// Increases with every request, wrapping. A request that is not newer than the last accepted request is rejected.
     pub sequence: u32,
-    /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if it depends on no state.
+    /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if the request uses no state.
     pub seen: Option<u32>,
     /// Time for which the request acts in full, s; at most [`MAX_LEASE`].
     pub hold: f32,

@@ -361,7 +361,7 @@ where
         torque
     }
 
-    /// Continues with the next joint. Ends the check with success after the last one.
+    /// Continues with the next joint. Ends the check with success after the last joint.
     fn continue_with_next_joint(&mut self) {
         let next = self.axis() + 1;
         if next >= self.count() {
@@ -594,7 +594,7 @@ where
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
             .flatten();
         let dead = DEAD_TIME_ERROR * 2.0 * bridge.dead_time * program.carrier_hz * self.now.motors.bus_voltage;
-        // Amplitude of the current, and the first harmonic of the dead time's voltage divided by it.
+        // Amplitude of the current, and the first harmonic of the dead time's voltage divided by this amplitude.
         let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.step_period * swing.rate
             / (core::f32::consts::PI * TURNS_SUMMED);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;

@@ -22,7 +22,7 @@ pub const REST_SPEED: f32 = 0.2;
 pub enum Command<P> {
     /// Replaces device and scene; the reply returns the previous program.
     Program(P),
-    /// Gains of one wall, with the washout designed for them.
+    /// Gains of one wall, with the washout for these gains.
     Gains(Gains<f32>, Washout<f32>),
     /// Coefficients of the velocity estimators.
     Coefficients(Coefficients<f32>),
@@ -132,7 +132,7 @@ where
     }
 
     /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. The control
-    /// interrupt calls them in two carrier periods, because one has no time for both while the motors are on.
+    /// interrupt calls the two in separate carrier periods, because a period has no time for both.
     pub fn replace(&mut self, mut program: P) -> Reply<P> {
         match self.accepts(&mut program) {
             Ok(()) => (Ok(()), self.install(program)),
@@ -234,7 +234,7 @@ where
         // Rates that differ by a rounding error may have the same period but different carriers.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // Without a program, no time was counted, and no step existed that a host could have read.
+        // Without a program no steps were counted, so a host cannot have read a step.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }

@@ -55,7 +55,7 @@ where
         margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
         if self.compensates_weight {
             for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
-                // If weight and force fit together with any signs, each of them and their sum fit.
+                // If the sum of the magnitudes of weight and force fits, then weight, force and their sum fit.
                 let both = gravity[i].abs() + rendered[i].abs();
                 margin |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
@@ -151,8 +151,8 @@ impl TorqueDemand<f32> {
     }
 }
 
-/// Returns the factor by which a force, given by its square (N²), must be multiplied to be at most `most` (N): 1 if it
-/// is within the limit, 0 if it is not finite.
+/// Returns the factor that reduces a force, given by its square (N²), to at most `most` (N): 1 for a force within the
+/// limit, 0 for a force that is not finite.
 pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     if squared <= most * most {
         1.0

@@ -1,7 +1,7 @@
 //! Comparisons that return a sign, negative if a value is beyond its bound. Several results are combined by OR and
 //! tested once, without a branch for each and without moving the FPU's flags.
 //!
-//! The bit patterns of positive floats have the order of the floats; infinity and NaN are above them all.
+//! The bit patterns of positive floats have the order of the floats. Infinity and NaN are above all numbers.
 
 /// Returns a negative number if |`value`| exceeds `bound` (not negative) or `value` is NaN.
 #[inline(always)]

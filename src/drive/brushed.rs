@@ -400,8 +400,8 @@ impl Stage for Axis {
     }
 }
 
-/// Returns (eˣ - 1)/x for x ≥ 0 by its series, exact for small x. For large x the result is so large that a quotient by
-/// it is negligible. Infinite for infinity.
+/// Returns (eˣ - 1)/x for x ≥ 0 by its series, exact for small x. A quotient by the result is negligible for large x.
+/// Infinite for infinity.
 fn exprel(x: f32) -> f32 {
     (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
 }

@@ -73,8 +73,8 @@ impl Ticks {
         Self { half: 0.5 * f32::from(top), middle: first.wrapping_add(second << 16) }
     }
 
-    /// Returns the compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other is
-    /// below, so a duty of 0 makes exactly no voltage.
+    /// Returns the compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other
+    /// leg is below, so a duty of 0 makes exactly no voltage.
     #[inline(always)]
     pub fn legs(&self, duty: Duty) -> [u16; 2] {
         let ticks = (Self::ROUNDING_OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;

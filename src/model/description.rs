@@ -30,7 +30,7 @@ impl Description {
         let mut links = *self;
         for joint in &mut links.joints {
             if let Some(transmission) = joint.transmission {
-                // Rounding must not make the inertia negative if all of it is on the motor's side.
+                // Rounding must not make the inertia negative if the complete inertia is on the motor's side.
                 joint.inertia = (joint.inertia - transmission.motor_inertia).max(0.0);
             }
         }

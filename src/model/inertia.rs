@@ -22,7 +22,7 @@ pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Split<T: Real, const N: usize> {
-    /// Columns: R rendered directions, then N - R admissible ones.
+    /// Columns: R rendered directions, then N - R admissible directions.
     pub basis: SMatrix<T, N, N>,
     /// Number of rendered directions R.
     pub rendered: usize,

@@ -335,7 +335,7 @@ impl TableReceiver {
         self.values.extend_from_slice(chunk).is_ok()
     }
 
-    /// Returns true if the chunk is finite, fits, and is the first of a table or continues the previous one.
+    /// Returns true if the chunk is finite, fits, and is the first of a table or continues the previous chunk.
     pub fn fits(&self, offset: usize, chunk: &[f32]) -> bool {
         let next = offset == 0 || offset == self.values.len();
         next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())

@@ -27,7 +27,7 @@ use crate::model::mechanism::Shaping;
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Maximum number of sweeps of Jacobi rotations. Two directions need one; three are exact to rounding after four.
+/// Maximum number of sweeps of Jacobi rotations. Two directions need one sweep, three directions need four.
 const MAX_SWEEPS: usize = 6;
 /// Largest error of a normal's squared length that is ignored, to save a square root. Only the normal of a moving plane
 /// of the host has a larger error.
@@ -284,7 +284,7 @@ fn rotate<T: Real, K: Math<T>, const N: usize>(
     if hypotenuse <= T::zero() {
         return false;
     }
-    // Cosine and sine of half the angle with the cosine difference/hypotenuse, the larger of them first.
+    // Cosine and sine of half the angle whose cosine is difference/hypotenuse. The larger value is computed first.
     let larger = K::sqrt(half + half * difference.abs() / hypotenuse);
     let smaller = ab.abs() / (hypotenuse * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };

@@ -200,7 +200,7 @@ pub struct Scene<T> {
     pub posture: Option<Posture<T>>,
 }
 
-/// Control rate of a scene that does not set one, Hz.
+/// Control rate of a scene file without a rate, Hz.
 pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
 /// Lowest control rate, Hz.
 pub const MIN_RATE_HZ: f64 = 200.0;

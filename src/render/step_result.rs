@@ -14,7 +14,7 @@ pub struct AtWalls<T> {
     pub normal_velocity: T,
     /// Sum of the wall forces, N.
     pub wall_force: T,
-    /// Active share of the feed-forward: 1 away from singularities, fading to 0 near them.
+    /// Active share of the feed-forward, 1 far from singularities and 0 at a singularity.
     pub shaping: T,
     /// Energy that the walls' torques (with feed-forward) have absorbed since contact began, less the initial debt, J;
     /// negative if the walls have given out energy.

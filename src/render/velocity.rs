@@ -45,7 +45,7 @@ pub struct EstimatorKey {
     pub unit: &'static str,
     /// Smallest and largest value.
     pub range: (u32, u32),
-    /// Value if a file does not set one.
+    /// Value if a scene file does not contain the key.
     pub usual: u32,
 }
 

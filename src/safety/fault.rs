@@ -1,6 +1,6 @@
 //! The states of the control loop, and the faults that turn the motors off, each with a remedy.
 //!
-//! Motors are off unless armed. A fault turns them off in the step that detects it, and stays until it is cleared.
+//! Motors are off unless armed. A fault turns the motors off in the step that detects it, and stays until cleared.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ impl State {
     }
 }
 
-/// Arguments of `haptic` that clear a fault, as remedies quote them. Other programs replace them by their own command.
+/// Arguments of `haptic` that clear a fault. Other programs replace these words in a remedy by their own command.
 pub const CLEARING: &str = "faults --clear";
 
 macro_rules! faults {
@@ -143,7 +143,7 @@ faults! {
     SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report the fault if it returns";
     /// Two sensors of one motor's current disagree; value: A.
     CurrentSensor = 27, "the two current sensors of a motor disagree",
-        "power-cycle the board; if it returns, a shunt, its amplifier or a third phase's wire is at fault";
+        "power-cycle the board; if the fault returns, a shunt, its amplifier or a third phase's wire is at fault";
     /// Voltage, current and speed of a motor contradict each other; value: unexplained voltage, V.
     MotorModel = 28, "a motor's voltage, current and speed contradict each other",
         "check the motor's wires, its encoder's direction and coupling, the current sensor, and resistance, inductance and back-EMF in the device file";
@@ -155,7 +155,7 @@ faults! {
         "switch the supply off: a switch of the bridge is broken, a motor wire touches another, or a current sensor's zero is wrong";
     /// The clock security system detected that the crystal stopped.
     ClockFailure = 31, "the crystal that clocks the processor stopped",
-        "power-cycle the board; if it returns, the crystal or its soldering is at fault";
+        "power-cycle the board; if the fault returns, the crystal or its soldering is at fault";
     /// The supply monitor detected a dip of the processor's own supply.
     SupplyDip = 32, "the processor's own supply dipped",
         "check the supply of the board's 3.3 V, and everything else that it feeds";
@@ -164,7 +164,7 @@ faults! {
         "flash the board again, with an image made by `cargo fw`";
     /// A word of RAM did not keep its value; value: its address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
-        "power-cycle the board; if it returns, replace the board";
+        "power-cycle the board; if the fault returns, replace the board";
     /// A joint kept moving when the polarity check was about to start with it; value: motion, rad.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device come to rest, or hold it still for a moment; take your hands off while a motor pushes; then check again";

@@ -105,7 +105,7 @@ impl Board for OdriveV3 {
         for timer in TIMERS {
             pwm::configure(timer, &config, carrier);
         }
-        // One converter samples phase B of both axes and the bus, the other phase C of both axes.
+        // ADC1 samples phase B of both axes and the bus, ADC2 samples phase C of both axes.
         adc::configure(pac::ADC1, &[10, 13, 6]);
         adc::configure(pac::ADC2, &[11, 12]);
 

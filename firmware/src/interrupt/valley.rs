@@ -160,7 +160,7 @@ impl InterruptState {
         true
     }
 
-    /// Records the last step, into a frame if one is due.
+    /// Records the last step, in a frame of telemetry if a frame is due.
     #[inline(never)]
     fn record(&mut self) {
         self.step_countdown &= !UNRECORDED;

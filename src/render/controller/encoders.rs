@@ -167,7 +167,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         raw
     }
 
-    /// Returns filtered joint velocities, rad/s. The filter is of first order if only the guard and telemetry use them.
+    /// Returns filtered joint velocities, rad/s. The filter is of first order if only guard and telemetry need them.
     #[inline(always)]
     pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
         let raw = self.raw_velocities(counts);
@@ -291,7 +291,7 @@ mod tests {
 
     #[test]
     fn complete_turns_of_fractional_counts_are_removed_exactly() {
-        // Encoders of 4000 counts with gears of 43:4, 7:3 and 355:113, one with decimals, and an irrational gear ratio.
+        // Encoders of 4000 counts with gears of 43:4, 7:3 and 355:113, a decimal number, and an irrational gear ratio.
         for counts_per_turn in
             [20_000.0, 10_752.5, 28_000.0 / 3.0, 4_000.0 * 355.0 / 113.0, 16_384.07, 2e4 * 1.1_f64.sqrt()]
         {

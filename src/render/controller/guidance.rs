@@ -36,7 +36,7 @@ pub(super) struct Guidance<T: Real> {
     washouts: [Washout<T>; 4],
 }
 
-/// The force of springs and the plane when they act together with walls that have the feed-forward.
+/// The force of springs and plane in so far as they act together with walls that have the feed-forward.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SharedGuidance<T, const N: usize> {
     /// True if a spring or the plane is stiff and acts.
