@@ -2,7 +2,7 @@
 // The worker runs the library by the browser's clock and carries its messages to the page, and its bytes to the port of
 // a board that the page has opened.
 onmessage = async first => {
-  const { library: code, choice, board } = first.data;
+  const { library: code, board } = first.data;
   // Bytes from the port that were not fetched, the function that ends a wait for them, and the reason why the port is
   // gone.
   const came = [];
@@ -44,10 +44,8 @@ onmessage = async first => {
   };
   try {
     library = (await WebAssembly.instantiate(code, { port })).instance.exports;
-    library.choices();
-    const choices = words().split("\n");
-    if (!await (board ? waiting("open_board")() : library.open(choice))) throw words();
-    postMessage({ choices });
+    if (!await (board ? waiting("open_board")() : library.open())) throw words();
+    postMessage({ opened: true });
     const began = performance.now(), turn = waiting("turn");
     const play = async () => {
       try {

@@ -26,10 +26,23 @@ fn opened() -> (View, Browser, Tab) {
         "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
     );
     browser.front(&tab);
+    as_an_expert(&mut browser, &tab);
     // Places on the canvases are known after the first drawing. A page draws only in front, and late if the computer is
     // busy.
     browser.until(&tab, "Boolean(view.frame && view.planeFrame)");
     (view, browser, tab)
+}
+
+/// Ends what the page does by itself, resets the simulation, and shows all controls.
+fn as_an_expert(browser: &mut Browser, tab: &Tab) {
+    browser.evaluate(tab, "$('rail').checked = false; $('start-over').click(); touched = true; unfold(true)");
+    browser.until(tab, "view.last.hand === null && view.walls.every(wall => wall.feed_forward !== 'off' || !view.hello.smooth)");
+}
+
+/// Lets the page treat its simulated board as a real one, with the motors off.
+fn as_on_a_board(browser: &mut Browser, tab: &Tab) {
+    browser.evaluate(tab, "$('off').click(); view.hello.simulated = false");
+    browser.until(tab, "document.body.dataset.state === 'Disarmed'");
 }
 
 /// Returns a place on a canvas in pixels of the page; `x` and `y` are expressions in pixels of the canvas.
@@ -112,6 +125,14 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
     let (_view, mut browser, tab) = opened();
     let armed = "document.body.dataset.state === 'Armed'";
     let off = "document.body.dataset.state === 'Disarmed'";
+    // Simulated motors are on without a key; a click of the button turns them off, and on again.
+    browser.until(&tab, armed);
+    browser.evaluate(&tab, "window.dispatchEvent(new Event('blur'))");
+    for state in [off, armed] {
+        browser.evaluate(&tab, "$('key').click()");
+        browser.until(&tab, state);
+    }
+    as_on_a_board(&mut browser, &tab);
     browser.hold_until(&tab, armed);
     browser.space(&tab, "keyUp");
     browser.until(&tab, off);
@@ -134,21 +155,12 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
     browser.until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
     browser.evaluate(&tab, "document.activeElement.blur()");
-    // On a simulated board a click on the button holds the key until the next click. On a real board the key is held
-    // only while the mouse button is down.
+    // The key is held only while the mouse button is down.
     let key = on(&mut browser, &tab, "key", "60", "30");
-    for held in [true, false] {
-        for what in ["mousePressed", "mouseReleased"] {
-            browser.mouse(&tab, what, key);
-        }
-        browser.until(&tab, &format!("view.last.held === {held}"));
-    }
-    browser.evaluate(&tab, "view.hello.simulated = false");
     for (what, down) in [("mousePressed", true), ("mouseReleased", false)] {
         browser.mouse(&tab, what, key);
         assert_eq!(browser.evaluate(&tab, "view.down"), down);
     }
-    browser.evaluate(&tab, "view.hello.simulated = true");
     browser.until(&tab, off);
     // Losing the focus releases the key.
     browser.hold_until(&tab, armed);
@@ -161,6 +173,7 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
 #[test]
 fn a_second_finger_taps_while_the_first_holds_the_key() {
     let (_view, mut browser, tab) = opened();
+    as_on_a_board(&mut browser, &tab);
     browser.size(&tab, PHONE, 2.0);
     browser.ask(&tab, "Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
     let touch = |browser: &mut Browser, kind: &str, fingers: &[(f64, f64)]| {
@@ -170,7 +183,7 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     let key = on(&mut browser, &tab, "key", "60", "30");
     touch(&mut browser, "touchStart", &[key]);
     browser.until(&tab, "view.down");
-    let off = on(&mut browser, &tab, "ff-off", "20", "15");
+    let off = on(&mut browser, &tab, "ff", "20", "15");
     touch(&mut browser, "touchStart", &[key, off]);
     assert_eq!(
         browser.evaluate(&tab, "view.down && $('anyway').hidden"),
@@ -210,6 +223,7 @@ fn closing_the_page_disarms_and_frees_the_command() {
 #[test]
 fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     let (_view, mut browser, tab) = opened();
+    as_on_a_board(&mut browser, &tab);
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
     // One pixel of the plane is some tens of N/m.
@@ -276,6 +290,7 @@ fn the_plane_has_no_overlaps_on_shipped_devices() {
         let tab = browser.open(&view.url, LAPTOP, 1.0);
         browser.front(&tab);
         browser.until(&tab, "window.view && view.plane !== null && Boolean(view.planeFrame) && view.pictures > 5");
+        as_an_expert(&mut browser, &tab);
         browser.until(&tab, &format!("$('scale').value === '{scale}'"));
         for (size, scale) in [(LAPTOP, scale), ((1024, 768), "even"), (PHONE, "log"), (PROJECTOR, "near")] {
             browser.size(&tab, size, 1.0);
@@ -379,20 +394,18 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
     // The ripple is known only after some time of contact.
     browser.hold_until(&tab, "now?.ripple > 0");
-    browser.evaluate(&tab, "$('ff-off').click()");
-    browser.until(&tab, "!$('anyway').hidden");
-    browser.evaluate(&tab, "$('anyway').click()");
-    browser.until(&tab, "view.walls[0].feed_forward === 'off'");
+    browser.evaluate(&tab, "$('ff').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'off' && $('anyway').hidden");
     // The scope shows the curve from before the click and the new one on the same axis, and the buzz frequency.
     browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
     browser.hold_until(
         &tab,
-        "/^washed out 0\\.\\d+ N →$/.test($('ripple-before').textContent) && $('ripple-now').className === 'hot'",
+        r"/^Now off: [\d.]+ times louder than on; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)",
     );
     browser.evaluate(&tab, "window.range = JSON.stringify(axes.rendered_n)");
     browser.evaluate(&tab, "$('ff-washout').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'washout'");
-    browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
+    browser.hold_until(&tab, r"/^Now on: [\d.]+ times quieter than off; /.test($('ripple').textContent)");
     let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
     assert_eq!(browser.evaluate(&tab, kept), true, "the axis keeps its range, so that a quiet wall looks quiet");
     // Pictures for a paper have a width in millimetres and letters of at least eight points.
@@ -409,7 +422,7 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
         assert!(found[2].as_f64().unwrap() > 7.99 && found[3] == true && found[4] == false, "{what}: {found}");
         assert!(found[5].as_str().unwrap().starts_with("a & <b>, 8.70 kN/m"), "{what}: {found}");
     }
-    browser.space(&tab, "keyUp");
+    browser.evaluate(&tab, "$('off').click()");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
     // While the motors are off, a wall can be dragged by its handle.
     browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
@@ -432,7 +445,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
     browser.until(&tab, "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')");
     let hash = link.split('#').nth(1).unwrap().to_string();
     assert!(!link.contains('?'), "a link must not contain the token: {link}");
-    browser.evaluate(&tab, "say({ do: 'give' })");
+    browser.evaluate(&tab, "$('take').click()");
     let other = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
     browser.front(&other);
     let same = "window.view?.last && view.walls[0].stiffness === 12345 && view.walls[0].damping === 60 && view.walls[0].feed_forward === 'full' && \
@@ -444,11 +457,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
         ("pose=1,2,3,4", "pose"),
         ("lesson=99", "lesson"),
         ("do=arm", "unknown part"),
-        ("device=other", "where haptic view shows that device and scene"),
-        (
-            "lesson=1",
-            "haptic view devices/hapkit-paddle.toml --scene devices/scenes/hapkit-paddle/slow.toml --port sim",
-        ),
+        ("device=other", "does not have the link's device other"),
         ("wall=1,1,off&wall=1,1,off", "2 walls"),
         ("wall=-5,1,off", "stiffness"),
     ] {
@@ -458,44 +467,69 @@ fn a_link_restores_device_pose_walls_and_gains() {
             &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
         );
     }
-    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "a link must not arm");
     // The notice stays until another link is opened.
     browser.evaluate(&other, "location.hash = 'pose=a'; location.reload()");
     browser.until(&other, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
     browser.evaluate(&other, "location.hash = 'pose=2.2,1.3'");
     browser.until(&other, "!$('notice').classList.contains('shown')");
+    // A lesson's link changes the device, too.
+    browser.evaluate(&other, "location.hash = 'lesson=1'");
+    browser.until(&other, "view.hello?.scene === 'slow' && $('why').textContent.includes('Press into the wall')");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// The coach shows three tasks and then never appears again; *Start over* resets everything.
+/// Watches a page without reading: true once the wall buzzed at its glow, and once it was quiet afterwards.
+const EYES: &str = "window.seen = {}; setInterval(() => { const n = view.last?.numbers, mode = view.walls[0]?.feed_forward, at = performance.now() / 1000; if (!view.fast || view.limited) return; \
+     if (mode === 'off' && n.ripple > 1 && n.power > GLOWS) seen.buzz ||= at; if (seen.buzz && mode === 'washout' && now.settled && n.ripple < .2) seen.cure ||= at; }, 20);";
+
+/// The page shows the buzz and its cure by itself; at the first touch the user has it, wherever the hand is pulled.
 #[test]
-fn the_coach_leads_to_the_buzz_and_start_over_resets() {
-    let (view, mut browser, tab) = opened();
+fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
+    let view = View::start(&["--port", "sim"]);
+    let mut browser = Browser::start();
+    let tab = browser.open("about:blank", LAPTOP, 1.0);
+    browser.front(&tab);
+    browser.ask(&tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("addEventListener('DOMContentLoaded', () => {{ {EYES} }})")}));
+    browser.ask(&tab, "Page.navigate", json!({"url": view.url}));
+    browser.until(&tab, "window.seen?.cure > 0");
+    let cured = browser.evaluate(&tab, "seen.cure").as_f64().unwrap();
+    assert!(cured < 8.0, "{cured} s");
+    assert_eq!(browser.evaluate(&tab, "touched"), false);
+    browser.until(&tab, r"/^Now on: \d\d+ times quieter than off; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)");
+    // Only six controls are in view besides More.
+    let shown = "[...document.querySelectorAll('button, select, input')].filter(e => e.offsetParent).map(e => e.id).join()";
+    assert_eq!(browser.evaluate(&tab, shown), "choice,rate,start-over,more,ff,stiffness,damping");
+    // Somebody pulls the tip sideways instead of inwards, and flips the switch twice.
+    let tip = on(&mut browser, &tab, "stage", "view.frame.toX(view.last.geometry.tip[0])", "view.frame.toY(view.last.geometry.tip[1])");
+    browser.drag(&tab, tip, (tip.0 - 60.0, tip.1 + 110.0));
+    browser.evaluate(&tab, "window.seen = {}; if (view.walls[0].feed_forward !== 'off') $('ff').click()");
+    browser.until(&tab, "seen.buzz > 0 && touched && sound !== null");
+    browser.evaluate(&tab, "$('ff').click()");
+    browser.until(&tab, "seen.cure > 0");
+    let took = browser.evaluate(&tab, "seen.cure - seen.buzz").as_f64().unwrap();
+    assert!(took < 8.0, "{took} s");
+    browser.evaluate(&tab, "window.then = view.last.time");
+    browser.until(&tab, "view.last.time > then + 5");
+    assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout", "the user has the switch");
+    // At a limit of the motors nothing is stable, and nothing is compared.
+    let limited = "(() => { const p = {...view.last, numbers: {...view.last.numbers, saturated: 1}}; compareRipple(p); drawPlane(); return [now.ripple, $('dot').textContent]; })()";
+    let found = browser.evaluate(&tab, limited);
+    assert!(found[0].is_null() && found[1].as_str().unwrap().contains("not rendered: motors at their limit"), "{found}");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// *Start over* resets everything, and the page runs by itself again. A faster rate cures the buzz as well.
+#[test]
+fn start_over_resets_and_rate_and_device_change() {
+    let (_view, mut browser, tab) = opened();
     let walls = browser.evaluate(&tab, "JSON.stringify(view.walls)");
-    let next =
-        |n: u8| format!("!$('coach').hidden && $('coach').querySelector('.next')?.textContent.startsWith('{n} ')");
-    browser.until(&tab, &next(1));
-    browser.evaluate(&tab, "dispatchEvent(new PointerEvent('pointerdown', {pointerType: 'touch'}))");
-    browser.until(&tab, "$('coach').textContent.includes('green button')");
-    browser.hold_until(&tab, &next(2));
-    lead_into_the_wall(&mut browser, &tab);
-    browser.hold_until(&tab, &next(3));
-    browser.until(&tab, "$('coach').textContent.includes('click Off')");
-    // If a slow computer makes the page lose key and command meanwhile, the click is repeated.
-    browser.evaluate(&tab, "$('beyond').checked = true");
-    browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
-    browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
-    browser.until(&tab, "$('coach').hidden");
-    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        std::fs::write(format!("{folder}/coach-done.png"), browser.picture(&tab, false)).unwrap();
-    }
-    browser.space(&tab, "keyUp");
-    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
-    browser.evaluate(&tab, "view.goal = null; $('close').click(); $('ff-full').click()");
+    browser.evaluate(&tab, "$('close').click(); $('ff-full').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'full'");
+    browser.evaluate(&tab, "$('rate').value = 2000; $('rate').onchange()");
+    browser.until(&tab, "view.hello?.rate_hz === 2000 && view.plane && view.walls[0].feed_forward === 'full' && view.last.state === 'Armed'");
     browser.evaluate(&tab, "$('start-over').click()");
     let back = format!(
-        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close && !$('beyond').checked"
+        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close && view.hello.rate_hz === 1000 && !touched"
     );
     browser.until(&tab, &back);
     browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
@@ -503,16 +537,17 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     let faulty = "(() => { picture({...view.last, state: 'Fault', fault: 'x'}); const r = ['anew', 'clear', 'dismiss'].map(id => \
                   $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
     assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
-    browser.until(&tab, "!$('notice').classList.contains('shown')");
-    // The arrow keys move the hand, too.
+    browser.until(&tab, "!$('notice').classList.contains('shown') && view.last.held");
+    // The arrow keys move the hand, too; on its rail it comes out of the wall at once.
     browser.evaluate(
         &tab,
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
     );
     browser.until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
-    let again = browser.open(&view.url, LAPTOP, 1.0);
-    browser.until(&again, "window.view && view.pictures > 10");
-    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "the finished coach appeared again");
+    browser.evaluate(&tab, "$('rail').checked = true; $('stage').onkeydown({key: 'ArrowUp', preventDefault() {}})");
+    browser.until(&tab, "Math.hypot(...wallPlace(RAIL.before).map((at, i) => at - view.last.hand.goal[i])) < 1e-6");
+    browser.evaluate(&tab, "$('choice').value = 1; $('choice').onchange()");
+    browser.until(&tab, "view.hello?.device === 'haply-2diy' && view.last.state === 'Armed' && $('choice').selectedIndex === 1");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -562,8 +597,8 @@ fn springs_of_the_scene_are_drawn() {
     let view = View::start(&[&file("haply-2diy.toml"), "--port", "sim", "--scene", &scene]);
     let mut browser = Browser::start();
     let tab = browser.open(&view.url, LAPTOP, 1.0);
-    browser.until(&tab, "window.view && view.pictures > 10");
-    browser.evaluate(&tab, "theme(false)");
+    browser.until(&tab, "window.view && view.pictures > 10 && document.body.dataset.role === 'command'");
+    browser.evaluate(&tab, "theme(false); $('start-over').click(); stopped = true");
     browser.until(&tab, "view.frame && view.pictures > 20");
     let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
     let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());

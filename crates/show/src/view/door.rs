@@ -28,6 +28,7 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
         ("style.css", include_str!("page/style.css")),
         ("link.js", include_str!("page/link.js")),
         ("stage.js", include_str!("page/stage.js")),
+        ("slow.js", include_str!("page/slow.js")),
         ("plane.js", include_str!("page/plane.js")),
         ("limits.js", include_str!("page/limits.js")),
         ("scope.js", include_str!("page/scope.js")),

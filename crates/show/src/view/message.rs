@@ -66,6 +66,16 @@ pub enum FromPage {
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
+    /// Replace a simulated device by a shipped one, by its number in [`super::World::names`].
+    World {
+        /// Number, from 0.
+        world: usize,
+    },
+    /// Change the control rate of a simulated board.
+    Rate {
+        /// Rate, Hz.
+        hz: f32,
+    },
     /// Send the limiting effects of the nearest wall with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.

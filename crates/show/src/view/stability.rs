@@ -147,10 +147,11 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
     })
 }
 
-/// Returns the oscillation of the wall with its present gains: outside the boundary, its buzz.
+/// Returns the oscillation of the wall with its present gains and the hand in contact: outside the boundary, its buzz.
 pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let wall = request.scene.walls.get(request.wall)?;
-    let (prediction, _) = request.prediction()?;
+    let (mut prediction, _) = request.prediction()?;
+    prediction.hand = request.hand.unwrap_or(prediction.hand);
     let members = [Member::new(request.normal.clone(), 1.0)];
     prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }

@@ -100,6 +100,8 @@ pub struct Stage {
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
+    /// The requested row rate.
+    max_rows_hz: Option<f64>,
     /// The device with its transmissions, and the board's delay and drives.
     subject: Subject,
     path: TorquePath,
@@ -140,9 +142,9 @@ struct Pace {
 }
 
 impl Stage {
-    /// Prepares the board for a view: heartbeats, and a stream of every step, or of `rows_hz` rows a second. Recordings
+    /// Prepares the board for a view: heartbeats, and a stream of every step, or of `max_rows_hz` rows a second. Recordings
     /// go to `folder`; without a folder they are disabled.
-    pub fn open(mut world: World, hub: Hub, rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
+    pub fn open(mut world: World, hub: Hub, max_rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
@@ -152,8 +154,8 @@ impl Stage {
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let max_rows_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
-        let divider = (rate_hz / rows_hz.unwrap_or(max_rows_hz).min(rate_hz)).ceil().max(1.0) as u32;
+        let link_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
+        let divider = (rate_hz / max_rows_hz.unwrap_or(link_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());
         // No page holds a key yet.
@@ -177,6 +179,7 @@ impl Stage {
             rules,
             columns,
             rows_hz,
+            max_rows_hz,
             last_step: None,
             divider,
             trail: Vec::new(),
@@ -509,6 +512,14 @@ impl Stage {
                 Some(simulated) => self.start_over(id, &simulated, pose)?,
                 None => self.refuse(id, "this device is not simulated: move it back by hand"),
             },
+            FromPage::World { .. } | FromPage::Rate { .. } if self.world.simulated.is_none() => {
+                self.refuse(id, "this device is not simulated: load another one with haptic device");
+            }
+            FromPage::World { world } => self.reopen(id, World::shipped(world)),
+            FromPage::Rate { hz } => {
+                let scene = Scene { rate_hz: hz, ..self.board().scene()?.unwrap_or_default() };
+                self.reopen(id, self.world.again(&scene));
+            }
             FromPage::Here {}
             | FromPage::Disarm {}
             | FromPage::Take {}
@@ -517,6 +528,19 @@ impl Stage {
             | FromPage::Sound { .. } => {}
         }
         Ok(())
+    }
+
+    /// Replaces the simulated world; the pages stay, and so does the page in command.
+    fn reopen(&mut self, id: PageId, world: Result<World, Failure>) {
+        let (hub, folder) = (self.hub.clone(), self.folder.clone());
+        match world.and_then(|world| Self::open(world, hub, self.max_rows_hz, folder)) {
+            Ok(stage) => {
+                self.stop_recording(false);
+                let (command, now) = (self.command, self.now);
+                *self = Self { command, now, ..stage };
+            }
+            Err(why) => self.refuse(id, &why.to_string()),
+        }
     }
 
     /// Resets device, hand, walls and gains to the start, or puts the device into another pose.

@@ -6,7 +6,7 @@ use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
 use crate::view::stability::{Plane, PredictionRequest, buzz};
-use crate::view::world::hand_settings;
+use crate::view::world::{World, hand_settings};
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::fault::FaultRecord;
@@ -183,6 +183,7 @@ impl Stage {
             "serial": info.serial.as_str(),
             "port": self.world.board.port(),
             "simulated": self.world.simulated.is_some(),
+            "worlds": World::names().collect::<Vec<_>>(),
             "records": self.folder.is_some(),
             "weightless": self.world.weightless, "smooth": self.world.smooth,
             "flat": self.device.mechanism.kind().spec().task == 2,
