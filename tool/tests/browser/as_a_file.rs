@@ -84,7 +84,8 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
             &format!("view.hello?.device === '{device}' && view.last && view.wanted === null && view.pictures > 10"),
         );
     }
-    browser.until(&tab, "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
+    browser
+        .until(&tab, "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
     browser.evaluate(&tab, "location.hash = 'device=nothing'");
     browser.until(&tab, "$('why').textContent.includes('s device nothing')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");

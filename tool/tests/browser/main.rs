@@ -36,7 +36,10 @@ fn opened() -> (View, Browser, Tab) {
 /// Ends what the page does by itself, resets the simulation, and shows all controls.
 fn as_an_expert(browser: &mut Browser, tab: &Tab) {
     browser.evaluate(tab, "$('rail').checked = false; $('start-over').click(); touched = true; unfold(true)");
-    browser.until(tab, "view.last.hand === null && view.walls.every(wall => wall.feed_forward !== 'off' || !view.hello.smooth)");
+    browser.until(
+        tab,
+        "view.last.hand === null && view.walls.every(wall => wall.feed_forward !== 'off' || !view.hello.smooth)",
+    );
 }
 
 /// Lets the page treat its simulated board as a real one, with the motors off.
@@ -489,7 +492,11 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
     let mut browser = Browser::start();
     let tab = browser.open("about:blank", LAPTOP, 1.0);
     browser.front(&tab);
-    browser.ask(&tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("addEventListener('DOMContentLoaded', () => {{ {EYES} }})")}));
+    browser.ask(
+        &tab,
+        "Page.addScriptToEvaluateOnNewDocument",
+        json!({"source": format!("addEventListener('DOMContentLoaded', () => {{ {EYES} }})")}),
+    );
     browser.ask(&tab, "Page.navigate", json!({"url": view.url}));
     browser.until(&tab, "window.seen?.cure > 0");
     let cured = browser.evaluate(&tab, "seen.cure").as_f64().unwrap();
@@ -497,10 +504,17 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
     assert_eq!(browser.evaluate(&tab, "touched"), false);
     browser.until(&tab, r"/^Now on: \d\d+ times quieter than off; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)");
     // Only six controls are in view besides More.
-    let shown = "[...document.querySelectorAll('button, select, input')].filter(e => e.offsetParent).map(e => e.id).join()";
+    let shown =
+        "[...document.querySelectorAll('button, select, input')].filter(e => e.offsetParent).map(e => e.id).join()";
     assert_eq!(browser.evaluate(&tab, shown), "choice,rate,start-over,more,ff,stiffness,damping");
     // Somebody pulls the tip sideways instead of inwards, and flips the switch twice.
-    let tip = on(&mut browser, &tab, "stage", "view.frame.toX(view.last.geometry.tip[0])", "view.frame.toY(view.last.geometry.tip[1])");
+    let tip = on(
+        &mut browser,
+        &tab,
+        "stage",
+        "view.frame.toX(view.last.geometry.tip[0])",
+        "view.frame.toY(view.last.geometry.tip[1])",
+    );
     browser.drag(&tab, tip, (tip.0 - 60.0, tip.1 + 110.0));
     browser.evaluate(&tab, "window.seen = {}; if (view.walls[0].feed_forward !== 'off') $('ff').click()");
     browser.until(&tab, "seen.buzz > 0 && touched && sound !== null");
@@ -514,7 +528,10 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
     // At a limit of the motors nothing is stable, and nothing is compared.
     let limited = "(() => { const p = {...view.last, numbers: {...view.last.numbers, saturated: 1}}; compareRipple(p); drawPlane(); return [now.ripple, $('dot').textContent]; })()";
     let found = browser.evaluate(&tab, limited);
-    assert!(found[0].is_null() && found[1].as_str().unwrap().contains("not rendered: motors at their limit"), "{found}");
+    assert!(
+        found[0].is_null() && found[1].as_str().unwrap().contains("not rendered: motors at their limit"),
+        "{found}"
+    );
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -547,7 +564,10 @@ fn start_over_resets_and_rate_and_device_change() {
     browser.evaluate(&tab, "$('rail').checked = true; $('stage').onkeydown({key: 'ArrowUp', preventDefault() {}})");
     browser.until(&tab, "Math.hypot(...wallPlace(RAIL.before).map((at, i) => at - view.last.hand.goal[i])) < 1e-6");
     browser.evaluate(&tab, "$('choice').value = 1; $('choice').onchange()");
-    browser.until(&tab, "view.hello?.device === 'haply-2diy' && view.last.state === 'Armed' && $('choice').selectedIndex === 1");
+    browser.until(
+        &tab,
+        "view.hello?.device === 'haply-2diy' && view.last.state === 'Armed' && $('choice').selectedIndex === 1",
+    );
     assert_eq!(browser.complaints(), [""; 0]);
 }
 

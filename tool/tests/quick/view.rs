@@ -721,7 +721,7 @@ fn a_simulation_starts_over_and_arms_again() {
     let depth = |view: &TestView| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
     let (walls, before) = (view.heard(0).walls.clone(), depth(&view));
     assert!((before + 0.010).abs() < 1e-4, "the wall is 10 mm away, not {before} m");
-    for broken in [false, true] {
+    for broken in [true, false] {
         view.arm(0);
         let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
         view.send(0, json!({"do": "hand", "at": place}));
@@ -751,7 +751,7 @@ fn a_simulation_starts_over_and_arms_again() {
         view.send(0, json!({"do": "start-over", "pose": pose}));
         view.play(0.2);
         assert_eq!(view.heard(0).refused.len(), refusals, "{pose}");
-        let q = board.lock().device().q();
+        let q = [0, 1].map(|joint| view.heard(0).picture["q"][joint].as_f64().unwrap());
         assert!((q[0] - 1.7).abs() < 1e-3 && (q[1] - 1.1).abs() < 1e-3, "{q:?}");
     }
     view.arm(0);

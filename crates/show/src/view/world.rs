@@ -103,12 +103,10 @@ impl World {
         Ok(Self { scene_name: world.scene.map(|(name, _)| name.into()), ..Self::simulate(file, scene)? })
     }
 
-    /// Creates this simulated world again, at its start, with another scene.
-    pub fn again(&self, scene: &Scene<f32>) -> Result<Self, Failure> {
-        let (Some(file), Some(board)) = (&self.file, &self.simulated) else {
-            return Err(Failure::wrong("this device is not simulated"));
-        };
-        let mut world = Self::start(file.clone(), Some(board.lock().device().start()))?;
+    /// Creates this simulated world again with another scene, in another pose (rad).
+    pub fn again(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
+        let file = self.file.clone().ok_or_else(|| Failure::wrong("this device is not simulated"))?;
+        let mut world = Self::start(file, Some(pose))?;
         world.board.set_scene(scene)?;
         Ok(Self { scene_name: self.scene_name.clone(), weightless: self.weightless, smooth: self.smooth, ..world })
     }
