@@ -268,16 +268,6 @@ mod tests {
     }
 
     #[test]
-    fn a_single_sweep_is_not_repeated() {
-        let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(true)), &labels(), 400.0, 0).unwrap();
-        feed(&mut ring, 0..150);
-        assert_eq!(scope.sweep(&ring).unwrap().phase, Phase::Stopped);
-        feed(&mut ring, 150..500);
-        assert_eq!(scope.sweep(&ring), None);
-    }
-
-    #[test]
     fn a_trigger_without_a_crossing_shows_the_newest_rows() {
         let mut ring = Ring::new(2, 1000);
         let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();

@@ -341,38 +341,10 @@ impl Predictor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::Demo;
-    use haptic_stability::analysis::plant::Drive;
 
     #[test]
-    fn the_demo_wall_is_stable_only_with_the_feed_forward() {
-        let demo = Demo::shipped(1).unwrap();
-        let scene = demo.scene([0.0, 0.0], FeedForward::Washout).cast::<f64>();
-        let request = PredictionRequest {
-            subject: Subject::new(&demo.file.description).unwrap(),
-            scene,
-            wall: 0,
-            q: demo.q().to_vec(),
-            normal: demo.normal.to_vec(),
-            path: TorquePath { delay_samples: 0.025, drive: Drive::Ideal },
-            hand: None,
-            explain: false,
-        };
+    fn without_a_thread_the_limits_are_explained_with_the_motors_off() {
         let mut predictor = Predictor::default();
-        predictor.request(request);
-        assert!(predictor.is_busy());
-        let plane = loop {
-            if let Some(result) = predictor.take_result() {
-                break result.unwrap();
-            }
-            thread::yield_now();
-        };
-        assert!(!predictor.is_busy());
-        let to = |mode| plane.stiffness_to(mode, demo.damping);
-        assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
-        assert!(to(FeedForward::Washout) < to(FeedForward::Full));
-        assert_eq!(plane.stiffness_to(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // Without a thread, the long computation waits for the motors to be off.
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;
