@@ -482,8 +482,8 @@ fn a_link_restores_device_pose_walls_and_gains() {
 }
 
 /// Watches a page without reading: true once the wall buzzed at its glow, and once it was quiet afterwards.
-const EYES: &str = "window.seen = {}; setInterval(() => { const n = view.last?.numbers, mode = view.walls[0]?.feed_forward, at = performance.now() / 1000; if (!view.fast || view.limited) return; \
-     if (mode === 'off' && n.ripple > 1 && n.power > GLOWS) seen.buzz ||= at; if (seen.buzz && mode === 'washout' && now.settled && n.ripple < .2) seen.cure ||= at; }, 20);";
+const EYES: &str = "window.eyes = {}; setInterval(() => { const n = view.last?.numbers, mode = view.walls[0]?.feed_forward, at = performance.now() / 1000; if (!view.fast || view.limited) return; \
+     if (mode === 'off' && n.ripple > 1 && n.power > GLOWS) eyes.buzz ||= at; if (eyes.buzz && mode === 'washout' && now.settled && n.ripple < .2) eyes.cure ||= at; }, 20);";
 
 /// The page shows the buzz and its cure by itself; at the first touch the user has it, wherever the hand is pulled.
 #[test]
@@ -498,8 +498,8 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
         json!({"source": format!("addEventListener('DOMContentLoaded', () => {{ {EYES} }})")}),
     );
     browser.ask(&tab, "Page.navigate", json!({"url": view.url}));
-    browser.until(&tab, "window.seen?.cure > 0");
-    let cured = browser.evaluate(&tab, "seen.cure").as_f64().unwrap();
+    browser.until(&tab, "window.eyes?.cure > 0");
+    let cured = browser.evaluate(&tab, "eyes.cure").as_f64().unwrap();
     assert!(cured < 8.0, "{cured} s");
     assert_eq!(browser.evaluate(&tab, "touched"), false);
     browser.until(&tab, r"/^Now on: \d\d+ times quieter than off; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)");
@@ -516,11 +516,11 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
         "view.frame.toY(view.last.geometry.tip[1])",
     );
     browser.drag(&tab, tip, (tip.0 - 60.0, tip.1 + 110.0));
-    browser.evaluate(&tab, "window.seen = {}; if (view.walls[0].feed_forward !== 'off') $('ff').click()");
-    browser.until(&tab, "seen.buzz > 0 && touched && sound !== null");
+    browser.evaluate(&tab, "window.eyes = {}; if (view.walls[0].feed_forward !== 'off') $('ff').click()");
+    browser.until(&tab, "eyes.buzz > 0 && touched && sound !== null");
     browser.evaluate(&tab, "$('ff').click()");
-    browser.until(&tab, "seen.cure > 0");
-    let took = browser.evaluate(&tab, "seen.cure - seen.buzz").as_f64().unwrap();
+    browser.until(&tab, "eyes.cure > 0");
+    let took = browser.evaluate(&tab, "eyes.cure - eyes.buzz").as_f64().unwrap();
     assert!(took < 8.0, "{took} s");
     browser.evaluate(&tab, "window.then = view.last.time");
     browser.until(&tab, "view.last.time > then + 5");

@@ -30,7 +30,6 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError, Column, LinkError, columns, max_rows_per_second};
 use haptic_host::vectors::padded;
 use haptic_predict::boards::torque_path;
-use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::pose::TaskPose;

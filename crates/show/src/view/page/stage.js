@@ -95,7 +95,7 @@ function frame(w, h) {
   view.box = box;
   let centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
   // Room for the slow motion.
-  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), high = h - (slowly.below && simulated() && !paper ? slowly.high : 0);
+  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), high = h - (slowly.below && !paper ? slowly.high : 0);
   let scale = Math.min(w / (box[2] - box[0] + 0.09), high / (box[3] - box[1] + 0.09));
   if (view.close) { view.closeAt = view.closeAt || [...g.tip]; centre = view.closeAt; scale = Math.min(w, h) / 0.05; }
   view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => high / 2 - (y - centre[1]) * scale,
