@@ -20,7 +20,7 @@ addEventListener("pointerdown", event => { if (event.isTrusted && event.pointerT
 
 // The demo's hand runs on a rail along the wall's normal, where the device couples: it is in front of the wall, at most
 // `before` (m), or as deep as the wall needs for a buzz that grows and the motors can hold.
-const RAIL = { before: .012, least: .026, most: .04 };
+const RAIL = { before: .012, least: .026, most: .032 };
 const railed = () => view.hello?.smooth && $("rail").checked && view.walls[0]?.outline?.is === "line";
 function wallPlace(along) { const { at, normal } = view.walls[0].outline; return [at[0] + along * normal[0], at[1] + along * normal[1]]; }
 function onRail(place) {
@@ -94,12 +94,12 @@ function frame(w, h) {
   for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
   view.box = box;
   let centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
-  // Room for the slow motion.
-  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), high = h - (slowly.below && !paper ? slowly.high : 0);
-  let scale = Math.min(w / (box[2] - box[0] + 0.09), high / (box[3] - box[1] + 0.09));
+  // Room for the slow motion, and for the legend above the picture.
+  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), [top, high] = slowly.below && !paper ? [3 * size, h - slowly.high] : [0, h];
+  let scale = Math.min(w / (box[2] - box[0] + 0.09), (high - top) / (box[3] - box[1] + 0.08));
   if (view.close) { view.closeAt = view.closeAt || [...g.tip]; centre = view.closeAt; scale = Math.min(w, h) / 0.05; }
-  view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => high / 2 - (y - centre[1]) * scale,
-    from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - high / 2) / scale] };
+  view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => (top + high) / 2 - (y - centre[1]) * scale,
+    from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - (top + high) / 2) / scale] };
   return view.frame;
 }
 function arrow(c, x, y, dx, dy) {
@@ -142,8 +142,9 @@ function drawWall(c, f, w, h, size, wall, index) {
     // The wall's name, on the solid side: for a plane next to its point, away from its handle and from the legend; for
     // a hole above it.
     const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
-    const spots = (line ? [100, -170, -45, 45] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
-    const [X, Y] = spots.find(([x, y]) => x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
+    const spots = (line ? [100, -170, -45, 45, 220] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
+    const clear = (x, y) => view.last.geometry.bars.every(([a, b]) => [0, .25, .5, .75, 1].every(t => Math.hypot(f.toX(a[0] + t * (b[0] - a[0])) - x, f.toY(a[1] + t * (b[1] - a[1])) - y) > 3 * size));
+    const [X, Y] = spots.find(([x, y]) => clear(x, y) && x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
     c.save(); c.font = `700 ${1.25 * size}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
     c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.strokeText("WALL", X, Y); c.fillText("WALL", X, Y); c.restore();
   }
