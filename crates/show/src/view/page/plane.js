@@ -136,7 +136,7 @@ function drawPlane() {
     if (mode !== (mine ? wall.feed_forward : alike[0])) continue;
     const own = points[mode], peak = own.reduce((best, p, i) => p[1] < own[best][1] ? i : best, 0);
     const near = own.map((_, i) => i).filter(i => i % Math.ceil(own.length / 40) === 0 || i === peak).sort((a, b) => Math.abs(a - peak) - Math.abs(b - peak));
-    c.fillStyle = palette[mode]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
+    c.fillStyle = palette[mode + "-name"]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
   // Announced again after a change of gains, but not when the hand moves and thus the limit changes.

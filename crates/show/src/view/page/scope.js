@@ -89,7 +89,7 @@ function drawScope() {
     let [low, high] = [Infinity, -Infinity];
     for (const [a, b] of values) { if (a < low) low = a; if (b > high) high = b; }
     if (low > high) continue;
-    const range = axis(label, low, high), Y = v => foot - (v - range.low) / (range.high - range.low) * (foot - top), own = label === "rendered_n" && wall ? palette[wall.feed_forward] : channel ? palette.dim : palette.ink;
+    const range = axis(label, low, high), Y = v => foot - (v - range.low) / (range.high - range.low) * (foot - top), own = label === "rendered_n" && wall ? palette[wall.feed_forward + "-name"] : channel ? palette.dim : palette.ink;
     c.lineWidth = 1; c.fillStyle = own; c.textAlign = channel ? "left" : "right";
     for (let k = Math.ceil(range.low / range.step - 1e-9); k * range.step <= range.high * (1 + 1e-9) + 1e-12; k++) {
       const y = Y(k * range.step);

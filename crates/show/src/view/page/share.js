@@ -45,7 +45,7 @@ function follow() {
     return say({ do: "world", world });
   }
   if (walls.length > view.walls.length) return not(`the link has ${walls.length} walls, and this scene ${view.walls.length}`);
-  $("rail").checked = !pose && walls.every(wall => !wall.point);
+  $("rail").checked = !pose && walls.every(wall => !wall.point); armAfter = performance.now() + 1000;
   say({ do: "start-over", ...(pose ? { pose } : {}) });
   walls.forEach(({ gains, point, normal }, wall) => {
     if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });

@@ -15,10 +15,12 @@ function runByItself(p) {
 }
 function flip(off) { sendGains({ feed_forward: off || view.walls[view.wall]?.feed_forward !== "off" ? "off" : "washout" }); }
 $("ff").onclick = () => flip();
-// The first touch hands over; a browser allows sound only from then on.
-function handOver() { if (touched) return; touched = true; if (simulated() && !sound) $("sound").onclick(); }
-for (const kind of ["pointerup", "keydown"]) addEventListener(kind, event => { if (event.isTrusted) handOver(); }, true);
-addEventListener("pointerdown", event => { if (event.isTrusted && event.pointerType === "mouse") handOver(); }, true);
+// The first touch hands over. A browser allows sound only after a press.
+let heard = false;
+for (const kind of ["pointerdown", "pointerup", "keydown"]) addEventListener(kind, event => {
+  if (event.isTrusted) touched = true; else return;
+  if (kind !== "pointerdown" && !heard && simulated()) { heard = true; if (!sound) $("sound").onclick(); }
+}, true);
 
 // The demo's hand runs on a rail along the wall's normal, where the device couples: it is in front of the wall, at most
 // `before` (m), or as deep as the wall needs for a buzz that grows and the motors can hold.
@@ -56,7 +58,7 @@ function tell(id, words) {
 // ---- drawing ------------------------------------------------------------------------------------------------------
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 let palette = {};
-function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "hand", "force", "off", "full", "washout", "spring", "bad", "before"]) palette[name] = colour(name); }
+function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "hand", "force", "off", "full", "washout", "off-name", "full-name", "washout-name", "spring", "bad", "before"]) palette[name] = colour(name); }
 function theme(dark) { document.documentElement.classList.toggle("dark", dark); readPalette(); requestDraw(); }
 $("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");

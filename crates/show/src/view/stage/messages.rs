@@ -176,7 +176,6 @@ impl Stage {
         let hand = hand_settings();
         json!({
             "is": "hello",
-            "tool": env!("CARGO_PKG_VERSION"),
             "device": self.device.name.as_str(),
             "scene": self.world.scene_name,
             "board": info.board.as_str(),
@@ -210,7 +209,7 @@ impl Stage {
             json!({
                 "shape": wall.surface.spec().name, "values": wall.surface.values(),
                 "outline": wall_outline(&wall.surface), "stiffness": wall.stiffness,
-                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
+                "damping": wall.damping, "feed_forward": wall.feed_forward,
             })
         });
         let springs = self.scene.springs.iter().map(|spring| {
