@@ -201,7 +201,7 @@ function picture(p) {
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));
   shown.forEach(([name, value, hot], i) => { const [dt, dd] = list.children[i].children; dt.textContent = name; dd.textContent = value; dd.className = hot ? "hot" : ""; });
-  // Thirty pictures a second leave a slow computer time to report that the key is down.
-  if (view.pictures % 2) requestDraw();
+  // Thirty pictures a second leave a slow computer time to report that the key is down, and fewer leave it time to simulate.
+  if (view.pictures % (p.speed !== null && p.speed < .8 ? 5 : 2) === 0) requestDraw(view.pictures % 10 !== 0);
 }
 

@@ -136,7 +136,7 @@ function compareRipple(p) {
   }
   if (now && (!view.fast || view.limited)) { now.since = p.time; if (view.limited) now.ripple = null; }
   // The first tenths of a second still belong to the previous mode, or to the touch.
-  else if (now && p.time - now.since > 0.4) { now.ripple = n.ripple; now.settled = p.time - now.since > 1; }
+  else if (now && p.time - now.since > 0.4) { now.ripple = n.ripple; now.settled = p.time - now.since > .8; }
   view.buzz = view.fast && !view.limited && n.ripple > BUZZES ? n.frequency : null;
   if (view.buzz && now.ripple !== null) measured = view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz, measured ${digits(view.buzz, 2)}` : `measured ${digits(view.buzz, 2)} Hz`;
   const times = before?.ripple / now?.ripple, name = part => part.mode === "washout" ? "on" : NAMES[part.mode], many = ratio => ratio < 1.5 ? "as quiet" : ratio < 10 ? digits(ratio, 2) : String(+ratio.toPrecision(2));

@@ -9,9 +9,9 @@ function runByItself(p) {
   if (p.state === "Disarmed" && !view.down && !stopped && !document.hidden && performance.now() > armAfter) { armAfter = performance.now() + 500; press(); }
   if (touched || !railed() || p.state !== "Armed") return;
   if (!p.hand) lead(wallPlace(-RAIL.least));
-  // On a slow computer, simulated time lags: what is to be seen may be there earlier.
+  // Where simulated time lags, a phase ends once it has been seen.
   const real = performance.now() / 1000, visible = view.walls[0].feed_forward === "off" ? view.buzz : now?.settled;
-  if (!switched || p.time - switched.time > SWITCH || visible && real - switched.real > SWITCH) { flip(!switched); switched = { time: p.time, real }; }
+  if (!switched || p.time - switched.time > SWITCH || p.speed < .8 && visible && real - switched.real > .75 * SWITCH) { flip(!switched); switched = { time: p.time, real }; }
 }
 function flip(off) { sendGains({ feed_forward: off || view.walls[view.wall]?.feed_forward !== "off" ? "off" : "washout" }); }
 $("ff").onclick = () => flip();
@@ -63,8 +63,11 @@ function theme(dark) { document.documentElement.classList.toggle("dark", dark); 
 $("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 prefersDark.onchange = event => theme(event.matches);
-let asked = false;
-function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
+let asked = false, planeToo = false;
+function requestDraw(stageOnly) {
+  planeToo ||= stageOnly !== true;
+  if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); if (planeToo) drawPlane(); planeToo = false; }); }
+}
 // Also if the window keeps its size: stretching distorts letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
