@@ -42,9 +42,7 @@ function hello(message) {
   if (other) { view.firstRate = message.rate_hz; document.body.classList.toggle("real", !message.simulated); unfold(!message.simulated); }
   if (view.next) [view.wanted, view.next] = [view.next, null];
   listWorlds(message);
-  const [grip, arm] = [message.hand.grip, message.hand.arm];
-  $("spring").textContent = $("spring").title = message.simulated ? `You move a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
-  $("hint").textContent = message.simulated ? coarse ? "move the tip with a finger" : "move the tip with the mouse or arrow keys" : "";
+  $("hint").textContent = message.smooth ? "A tenth of the device's dry friction, encoders five times as fine." : "";
   $("key").firstChild.data = message.simulated ? "Motors on or off" : "Hold: motors on";
   $("key").querySelector("small").textContent = message.simulated ? "simulated motors need no key" : coarse ? "letting go turns them off" : "Space, or press here; letting go turns them off";
   for (const id of ["let-go", "start-over", "beyond-label"]) $(id).hidden = message.simulated === (id === "beyond-label");

@@ -173,7 +173,6 @@ impl Stage {
     /// Returns the facts that do not change.
     pub(super) fn hello(&self) -> Value {
         let info = self.world.board.info();
-        let hand = hand_settings();
         json!({
             "is": "hello",
             "device": self.device.name.as_str(),
@@ -191,10 +190,6 @@ impl Stage {
             "rows_hz": self.rows_hz,
             "cutoff_hz": self.scene.cutoff_hz,
             "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
-            "hand": {
-                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
-                "arm": [hand.arm_stiffness, hand.arm_damping],
-            },
         })
     }
 
