@@ -12,3 +12,42 @@ pub const FICTIVE_FIVE_BAR_TURRET: &str = include_str!("../../devices/fictive-fi
 pub const PHANTOM_PREMIUM: &str = include_str!("../../devices/phantom-premium-1.5.toml");
 /// A redundant arm.
 pub const SERIAL_3R: &str = include_str!("../../devices/serial-3r.toml");
+
+/// A shipped device in front of the walls of a scene.
+#[derive(Clone, Copy, Debug)]
+pub struct ShippedWorld {
+    /// Name of the device, with the name of the scene after a slash, and a description after a colon.
+    pub name: &'static str,
+    /// Text of the device file.
+    pub device: &'static str,
+    /// Name and text of the scene file; `None` for one wall in front of the tip.
+    pub scene: Option<(&'static str, &'static str)>,
+}
+
+macro_rules! shipped {
+    ($device:literal: $words:literal) => {
+        ShippedWorld {
+            name: concat!($device, ": ", $words),
+            device: include_str!(concat!("../../devices/", $device, ".toml")),
+            scene: None,
+        }
+    };
+    ($device:literal / $scene:literal: $words:literal) => {
+        ShippedWorld {
+            name: concat!($device, "/", $scene, ": ", $words),
+            scene: Some(($scene, include_str!(concat!("../../devices/scenes/", $device, "/", $scene, ".toml")))),
+            ..shipped!($device: $words)
+        }
+    };
+}
+
+/// The devices that a page offers beside the demo's.
+pub const WORLDS: [ShippedWorld; 7] = [
+    shipped!("haply-2diy" / "disc": "a disc"),
+    shipped!("haply-2diy" / "groove": "a groove"),
+    shipped!("pantograph-mk2" / "corner": "a corner"),
+    shipped!("hapkit-paddle" / "wall": "a wall"),
+    shipped!("hapkit-paddle" / "slow": "a wall at 1 kHz"),
+    shipped!("woodenhaptics": "a wall"),
+    shipped!("phantom-premium-1.5": "a wall"),
+];

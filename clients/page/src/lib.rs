@@ -18,8 +18,8 @@ mod port;
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
+use haptic_host::haptic_bridge::model::shipped::WORLDS;
 use haptic_host::link::Board;
-use haptic_host::scene_file::SceneFile;
 use haptic_show::view::hub::{Hub, Message, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stage::KEY_TIMEOUT;
@@ -29,68 +29,14 @@ use std::collections::VecDeque;
 use std::thread::LocalKey;
 use std::time::Duration;
 
-/// A shipped device with its scene.
-struct Choice {
-    name: &'static str,
-    /// Text of the device file; `None` for the demo.
-    device: Option<&'static str>,
-    /// Name and text of the scene file; `None` for one wall in front of the tip.
-    scene: Option<(&'static str, &'static str)>,
-}
-
-macro_rules! shipped {
-    ($device:literal: $words:literal) => {
-        Choice {
-            name: concat!($device, ": ", $words),
-            device: Some(include_str!(concat!("../../../devices/", $device, ".toml"))),
-            scene: None,
-        }
-    };
-    ($device:literal / $scene:literal: $words:literal) => {
-        Choice {
-            name: concat!($device, "/", $scene, ": ", $words),
-            scene: Some(($scene, include_str!(concat!("../../../devices/scenes/", $device, "/", $scene, ".toml")))),
-            ..shipped!($device: $words)
-        }
-    };
-}
-
-/// Devices that the user can choose. The first is the device of `haptic view --port sim`. Links to the page contain the
-/// name before the colon.
-const CHOICES: [Choice; 8] = [
-    Choice { name: "coupled-five-bar: a wall with feed-forward", device: None, scene: None },
-    shipped!("haply-2diy" / "disc": "a disc"),
-    shipped!("haply-2diy" / "groove": "a groove"),
-    shipped!("pantograph-mk2" / "corner": "a corner"),
-    shipped!("hapkit-paddle" / "wall": "a wall"),
-    shipped!("hapkit-paddle" / "slow": "a wall at 1 kHz"),
-    shipped!("woodenhaptics": "a wall"),
-    shipped!("phantom-premium-1.5": "a wall"),
-];
-
-impl Choice {
-    fn file(&self) -> Result<Option<DeviceFile>, Failure> {
-        Ok(self.device.map(|device| DeviceFile::parse(device, self.name)).transpose()?)
-    }
-    fn world(&self) -> Result<World, Failure> {
-        let Some(file) = self.file()? else { return World::demo() };
-        let task = file.spec().task;
-        let scene = match self.scene {
-            Some((_, text)) => Some(SceneFile::parse(text, self.name, task)?.scene::<f32>().map_err(Failure::wrong)?),
-            None => None,
-        };
-        Ok(World { scene_name: self.scene.map(|(name, _)| name.into()), ..World::simulate(file, scene)? })
-    }
-}
-
-/// Returns the world of the board that the page has opened. The links are drawn if the board has a shipped device.
+/// Returns the world of the board that the page has opened. Its links are drawn if it has the device of a shipped file.
 fn connected_world() -> Result<World, Failure> {
     let mut board = Board::over(Box::new(port::PagePort), "USB")?;
     let loaded = board.device()?;
     let is_loaded =
         |file: &DeviceFile| matches!((file.device(), &loaded), (Ok(device), Some(loaded)) if device == *loaded);
-    let files = CHOICES.iter().filter_map(|choice| choice.file().ok().flatten());
-    Ok(World::of(board, files.into_iter().find(is_loaded)))
+    let mut files = WORLDS.iter().filter_map(|world| DeviceFile::parse(world.device, world.name).ok());
+    Ok(World::of(board, files.find(is_loaded)))
 }
 
 /// The page's connection to the stage.
@@ -167,17 +113,10 @@ pub extern "C" fn length() -> usize {
     BUFFER.with_borrow(Vec::len)
 }
 
-/// Writes the names of the devices to choose from into the buffer, one per line.
+/// Starts with the simulated device of the demo; after a failure the buffer has the reason.
 #[unsafe(no_mangle)]
-pub extern "C" fn choices() {
-    set_buffer(CHOICES.map(|choice| choice.name).join("\n"));
-}
-
-/// Starts with the device of this number. Returns false after a failure, with the reason in the buffer.
-#[unsafe(no_mangle)]
-pub extern "C" fn open(choice: usize) -> bool {
-    let choice = CHOICES.get(choice).ok_or_else(|| Failure::wrong(format!("there is no choice {choice}")));
-    start(choice.and_then(Choice::world))
+pub extern "C" fn open() -> bool {
+    start(World::demo())
 }
 
 /// Starts with the board behind the port that the page has opened. Returns false after a failure, with the reason in
@@ -249,6 +188,7 @@ mod tests {
     use super::*;
     use haptic_host::haptic_bridge::safety::fault::{Fault, State};
     use haptic_host::link::{USB_PRODUCT, USB_VENDOR};
+    use haptic_host::scene_file::SceneFile;
     use haptic_sim::{BoardOptions, SharedBoard, ready_board};
 
     fn send(text: &str) {
@@ -291,28 +231,33 @@ mod tests {
 
     #[test]
     fn every_world_opens_and_its_motors_go_on_and_off() {
-        choices();
-        let names = String::from_utf8(BUFFER.take()).unwrap();
-        for (index, name) in names.lines().enumerate() {
-            assert!(open(index), "{name}: {}", String::from_utf8_lossy(&BUFFER.take()));
-            send(r#"{"do":"take"}"#);
-            let (picture, _) = play(0, 100);
+        assert!(open(), "{}", String::from_utf8_lossy(&BUFFER.take()));
+        send(r#"{"do":"take"}"#);
+        for (world, name) in World::names().enumerate() {
+            let from = 1000 * world as u32;
+            send(&format!(r#"{{"do":"world","world":{world}}}"#));
+            let (picture, refused) = play(from, 100);
+            assert!(refused.is_empty(), "{name}: {refused:?}");
             arm(&picture);
-            let (armed, refused) = play(100, 200);
+            let (armed, refused) = play(from + 100, 200);
             assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{name}: {armed} {refused:?}");
             send(r#"{"do":"release"}"#);
-            let (released, _) = play(300, 50);
+            let (released, _) = play(from + 300, 50);
             assert!(released.contains(r#""state":"Disarmed""#), "{name}: {released}");
         }
-        assert!(!open(names.lines().count()));
-        assert!(String::from_utf8(BUFFER.take()).unwrap().contains("there is no choice 8"));
+        send(r#"{"do":"world","world":8}"#);
+        assert!(play(9000, 20).1[0].contains("there is no world 8"));
+    }
+
+    fn file() -> DeviceFile {
+        DeviceFile::parse(WORLDS[0].device, WORLDS[0].name).unwrap()
     }
 
     /// Plugs a simulated board with a shipped device and a wall into the page's port.
     fn plug_in() -> SharedBoard {
-        let file = CHOICES[1].file().unwrap().unwrap();
+        let file = file();
         let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
-        let scene = SceneFile::parse(CHOICES[1].scene.unwrap().1, "scene", 2).unwrap().scene().unwrap();
+        let scene = SceneFile::parse(WORLDS[0].scene.unwrap().1, "scene", 2).unwrap().scene().unwrap();
         Board::over(board.wire(), "test").unwrap().set_scene(&scene).unwrap();
         port::worker::PLUGGED.replace(Some(board.wire()));
         board
@@ -389,8 +334,7 @@ mod tests {
 
     #[test]
     fn a_board_without_a_scene_is_refused_with_a_remedy() {
-        let file = CHOICES[1].file().unwrap().unwrap();
-        let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+        let board = SharedBoard::new(ready_board(&file(), BoardOptions::default()).unwrap());
         port::worker::PLUGGED.replace(Some(board.wire()));
         assert!(!open_board());
         let words = String::from_utf8(BUFFER.take()).unwrap();
@@ -406,7 +350,7 @@ mod tests {
 
     #[test]
     fn recordings_and_invalid_messages_are_refused() {
-        assert!(open(0));
+        assert!(open());
         send(r#"{"do":"take"}"#);
         send(r#"{"do":"record","on":true}"#);
         send("nonsense");

@@ -1,10 +1,10 @@
 "use strict";
-// The worker runs the library by the browser's clock, and carries its messages to the page and its bytes to the port of
+// The worker runs the library by the browser's clock and carries its messages to the page, and its bytes to the port of
 // a board that the page has opened.
 onmessage = async first => {
-  const { library: code, choice, board } = first.data;
-  // `came` has the bytes from the port that were not fetched, `wake` ends a wait for bytes, and `gone` is the reason
-  // why the port was lost.
+  const { library: code, board } = first.data;
+  // Bytes from the port that were not fetched, the function that ends a wait for them, and the reason why the port is
+  // gone.
   const came = [];
   let wake = () => {}, gone = null, over = false;
   let library;
@@ -15,7 +15,7 @@ onmessage = async first => {
     new Uint8Array(library.memory.buffer, at, what.length).set(what);
   };
   const putWords = text => put(new TextEncoder().encode(text));
-  // Suspends the library until bytes arrive. The worker still receives the page's messages meanwhile.
+  // Suspends the library until bytes arrive; the page's messages are still received meanwhile.
   const receive = async (most, milliseconds) => {
     if (!came.length && gone === null) {
       let timer;
@@ -35,7 +35,7 @@ onmessage = async first => {
     receive: board ? new WebAssembly.Suspending(receive) : () => 0,
   };
   const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
-  // Set before the library starts, because a board may already be sending.
+  // Set first, because a board may already be sending.
   onmessage = ({ data }) => {
     if (data.said) { putWords(data.said); library.said(data.at); }
     else if (data.came) { came.push(data.came); wake(); }
@@ -44,10 +44,8 @@ onmessage = async first => {
   };
   try {
     library = (await WebAssembly.instantiate(code, { port })).instance.exports;
-    library.choices();
-    const choices = words().split("\n");
-    if (!await (board ? waiting("open_board")() : library.open(choice))) throw words();
-    postMessage({ choices });
+    if (!await (board ? waiting("open_board")() : library.open())) throw words();
+    postMessage({ opened: true });
     const began = performance.now(), turn = waiting("turn");
     const play = async () => {
       try {
@@ -62,11 +60,11 @@ onmessage = async first => {
     };
     play();
   } catch (error) { stopped(error); }
-  // Sends the reason to the page first, because `finish` waits for a board that does not reply.
+  // The page gets the reason first, because a board that does not reply takes time.
   async function stopped(error) {
     postMessage({ stopped: String(error) });
     if (!board) return;
-    try { await waiting("finish")(1); } catch { /* The board disarms because it watches its host. */ }
+    try { await waiting("finish")(1); } catch { /* The board watches its host itself. */ }
     postMessage({ ended: true });
   }
 };

@@ -25,14 +25,15 @@ const DEFAULT_PORT: u16 = 7720;
 
 /// Watch a device in the browser: walls to drag, gains to change, signals, recording
 ///
-/// Serves one page until Ctrl-C; the whole page is inside this tool and loads nothing from elsewhere. Motors are on
-/// only while a key (Space) is held on the page in command: releasing the key, closing the page or losing the network
-/// turns them off.
+/// Serves one page until Ctrl-C; the whole page is inside this tool and loads nothing from elsewhere. A board's motors
+/// are on only while a key (Space) is held on the page in command: releasing the key, closing the page or losing the
+/// network turns them off.
 ///
 /// If the board is unplugged, the command waits for it. Over ssh, forward the page's port: ssh -L 7720:localhost:7720 HOST.
 ///
 /// With --port sim the mouse is a hand on a simulated device. Without DEVICE this is the device of `haptic demo`, with
-/// less dry friction and finer encoders, in front of a wall that buzzes without the feed-forward and is quiet with it.
+/// less dry friction and finer encoders, in front of a wall that buzzes without the feed-forward and is quiet with it;
+/// until the first touch it runs by itself.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML); its links are drawn [default: only the tip of the board's device is drawn]

@@ -1,17 +1,17 @@
 //! Chromium without a screen, controlled by its remote debugging protocol (chromedevtools.github.io/devtools-protocol).
 
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, ErrorKind};
+use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// Timeout of every wait. Only a page that hangs takes longer.
-pub const TIMEOUT: Duration = Duration::from_secs(300);
+/// Longest wait; only a page that hangs takes longer.
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
-const BROWSER_NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
-const NO_BROWSER: &str =
+const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
+const MISSING: &str =
     "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
 /// A running browser with a new profile.
 pub struct Browser {
@@ -41,15 +41,17 @@ pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStr
 
 impl Browser {
     pub fn start() -> Self {
-        let program =
-            BROWSER_NAMES.iter().find(|it| Command::new(it).arg("--version").output().is_ok()).expect(NO_BROWSER);
+        let program = NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(MISSING);
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new(program)
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
             .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
             .args(["--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"])
-            .arg(format!("--user-data-dir={}", profile.path().display()))
-            .args(["--remote-debugging-port=0", "about:blank"])
+            .args([
+                "--remote-debugging-port=0",
+                &format!("--user-data-dir={}", profile.path().display()),
+                "about:blank",
+            ])
             .stderr(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -75,16 +77,16 @@ impl Browser {
         let attached = self.call(None, "Target.attachToTarget", json!({"targetId": target, "flatten": true}));
         let tab = Tab { session: attached["sessionId"].as_str().unwrap().into(), target };
         for domain in ["Network", "Page", "Runtime", "Log"] {
-            self.call_page(&tab, &format!("{domain}.enable"), json!({}));
+            self.ask(&tab, &format!("{domain}.enable"), json!({}));
         }
-        self.set_size(&tab, (width, height), scale);
-        self.call_page(&tab, "Page.navigate", json!({"url": url}));
+        self.size(&tab, (width, height), scale);
+        self.ask(&tab, "Page.navigate", json!({"url": url}));
         tab
     }
 
-    pub fn set_size(&mut self, tab: &Tab, (width, height): (u32, u32), scale: f64) {
+    pub fn size(&mut self, tab: &Tab, (width, height): (u32, u32), scale: f64) {
         let size = json!({"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600});
-        self.call_page(tab, "Emulation.setDeviceMetricsOverride", size);
+        self.ask(tab, "Emulation.setDeviceMetricsOverride", size);
     }
 
     pub fn close(&mut self, tab: &Tab) {
@@ -92,7 +94,7 @@ impl Browser {
     }
 
     /// Calls a method on a page.
-    pub fn call_page(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
+    pub fn ask(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
         self.call(Some(&tab.session), method, parameters)
     }
 
@@ -104,9 +106,9 @@ impl Browser {
             message["sessionId"] = json!(session);
         }
         self.socket.send(Message::text(message.to_string())).unwrap();
-        let start = Instant::now();
+        let began = Instant::now();
         loop {
-            assert!(start.elapsed() < TIMEOUT, "no reply to {method}");
+            assert!(began.elapsed() < PATIENCE, "no reply to {method}");
             let Some(answer) = self.read() else { continue };
             if answer["id"] == id {
                 assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
@@ -126,7 +128,7 @@ impl Browser {
             }
             Ok(_) => None,
             Err(tungstenite::Error::Io(error))
-                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
+                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) =>
             {
                 None
             }
@@ -136,27 +138,27 @@ impl Browser {
 
     /// Evaluates an expression on a page.
     pub fn evaluate(&mut self, tab: &Tab, expression: &str) -> Value {
-        let answer = self.call_page(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
+        let answer = self.ask(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
         answer["result"]["value"].clone()
     }
 
     /// Waits until an expression is true on a page.
-    pub fn wait_until(&mut self, tab: &Tab, expression: &str) {
-        let start = Instant::now();
+    pub fn until(&mut self, tab: &Tab, expression: &str) {
+        let began = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.check_timeout(tab, start, expression);
+            self.not_beyond_patience(tab, began, expression);
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    fn check_timeout(&mut self, tab: &Tab, start: Instant, expression: &str) {
-        if start.elapsed() > TIMEOUT {
-            let page_state = self.evaluate(
+    fn not_beyond_patience(&mut self, tab: &Tab, began: Instant, expression: &str) {
+        if began.elapsed() > PATIENCE {
+            let seen = self.evaluate(
                 tab,
                 "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
             );
-            panic!("{expression} did not become true: {page_state}");
+            panic!("{expression} did not become true: {seen}");
         }
     }
 
@@ -164,15 +166,15 @@ impl Browser {
     /// again, presses Space, which moves the hand out of a wall, and leads the hand back to `view.goal`.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
-        let start = Instant::now();
+        let began = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.check_timeout(tab, start, expression);
+            self.not_beyond_patience(tab, began, expression);
             if self.evaluate(tab, ARMED) != true {
-                self.send_space(tab, "keyUp");
+                self.space(tab, "keyUp");
                 self.evaluate(tab, "if (view.last.command === null) $('take').click()");
-                self.send_space(tab, "keyDown");
-                let press_time = Instant::now();
-                while self.evaluate(tab, ARMED) != true && press_time.elapsed() < Duration::from_secs(3) {
+                self.space(tab, "keyDown");
+                let pressed = Instant::now();
+                while self.evaluate(tab, ARMED) != true && pressed.elapsed() < Duration::from_secs(3) {
                     std::thread::sleep(Duration::from_millis(20));
                 }
                 self.evaluate(tab, "if (view.goal) say({do: 'hand', at: view.goal})");
@@ -182,43 +184,41 @@ impl Browser {
     }
 
     /// Sends a mouse event of the type `what` at a place in CSS pixels.
-    pub fn send_mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
+    pub fn mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
         let down = u8::from(what != "mouseReleased");
         let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
-        self.call_page(tab, "Input.dispatchMouseEvent", event);
+        self.ask(tab, "Input.dispatchMouseEvent", event);
     }
 
     pub fn drag(&mut self, tab: &Tab, from: (f64, f64), to: (f64, f64)) {
-        self.send_mouse(tab, "mousePressed", from);
+        self.mouse(tab, "mousePressed", from);
         for step in 1..=10 {
             let share = f64::from(step) / 10.0;
-            self.send_mouse(tab, "mouseMoved", (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1)));
+            self.mouse(tab, "mouseMoved", (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1)));
             std::thread::sleep(Duration::from_millis(25));
         }
-        self.send_mouse(tab, "mouseReleased", to);
+        self.mouse(tab, "mouseReleased", to);
     }
 
-    pub fn send_space(&mut self, tab: &Tab, what: &str) {
+    pub fn space(&mut self, tab: &Tab, what: &str) {
         let event = json!({"type": what, "key": " ", "code": "Space", "windowsVirtualKeyCode": 32});
-        self.call_page(tab, "Input.dispatchKeyEvent", event);
+        self.ask(tab, "Input.dispatchKeyEvent", event);
     }
 
     /// Brings a page to the front, where it receives the keys.
-    pub fn bring_to_front(&mut self, tab: &Tab) {
-        self.call_page(tab, "Page.bringToFront", json!({}));
-        self.call_page(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
+    pub fn front(&mut self, tab: &Tab) {
+        self.ask(tab, "Page.bringToFront", json!({}));
+        self.ask(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
     }
 
-    /// Writes a screenshot NAME.png if HAPTIC_PICTURES names a folder; of the whole page or of its visible part.
-    pub fn save_picture(&mut self, tab: &Tab, name: &str, whole_page: bool) {
-        let Ok(folder) = std::env::var("HAPTIC_PICTURES") else { return };
-        let options = json!({"format": "png", "captureBeyondViewport": whole_page});
-        let answer = self.call_page(tab, "Page.captureScreenshot", options);
-        std::fs::write(format!("{folder}/{name}.png"), from_base64(answer["data"].as_str().unwrap())).unwrap();
+    /// Returns a screenshot of a page as PNG.
+    pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
+        let answer = self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
+        base64(answer["data"].as_str().unwrap())
     }
 
     /// Returns the addresses that pages have requested.
-    pub fn requested_urls(&self) -> Vec<String> {
+    pub fn requested(&self) -> Vec<String> {
         let urls = self.events.iter().filter_map(|(_, event)| match event["method"].as_str()? {
             "Network.requestWillBeSent" => event["params"]["request"]["url"].as_str(),
             "Network.webSocketCreated" => event["params"]["url"].as_str(),
@@ -228,14 +228,14 @@ impl Browser {
     }
 
     /// Returns the exceptions and the errors on the console.
-    pub fn console_errors(&self) -> Vec<String> {
-        let page_errors = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
+    pub fn complaints(&self) -> Vec<String> {
+        let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
             Some("Log.entryAdded") => event["params"]["entry"]["level"] == "error",
             Some("Runtime.consoleAPICalled") => event["params"]["type"] == "error",
             _ => false,
         });
-        page_errors.map(|(_, event)| event["params"].to_string()).collect()
+        wrong.map(|(_, event)| event["params"].to_string()).collect()
     }
 }
 
@@ -246,7 +246,7 @@ impl Drop for Browser {
     }
 }
 
-pub fn from_base64(text: &str) -> Vec<u8> {
+pub fn base64(text: &str) -> Vec<u8> {
     let digit = |byte: u8| match byte {
         b'A'..=b'Z' => byte - b'A',
         b'a'..=b'z' => byte - b'a' + 26,

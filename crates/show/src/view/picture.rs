@@ -81,8 +81,6 @@ pub struct Numbers {
     /// Power that the nearest wall gave out over the last tenth of a second, in addition to the energy stored in its
     /// spring, W. An ideal spring and damper give out none: the power comes from delay.
     pub power: f64,
-    /// Energy that the walls have absorbed since contact began, J; negative if they gave out energy.
-    pub energy: f64,
     /// Share of the last tenth of a second in which a motor was at its limit.
     pub saturated: f64,
     /// Weff and Wrr along the nearest wall's normal, kg; `None` at a singular pose.
@@ -159,7 +157,6 @@ impl<'a> Newest<'a> {
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
-            energy: self.get(Field::Energy, 0),
             ripple: ripple(self.recent_values(Field::RenderedForce, 0, recent)),
             frequency: frequency(&force, rows_hz),
             power: energy_given_out(

@@ -267,16 +267,6 @@ mod tests {
     }
 
     #[test]
-    fn a_single_sweep_is_not_repeated() {
-        let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(scope_request(rising_trigger(true)), &labels(), 400.0, 0).unwrap();
-        push_force_rows(&mut ring, 0..150);
-        assert_eq!(scope.sweep(&ring).unwrap().phase, Phase::Stopped);
-        push_force_rows(&mut ring, 150..500);
-        assert_eq!(scope.sweep(&ring), None);
-    }
-
-    #[test]
     fn a_trigger_without_a_crossing_shows_the_newest_rows() {
         let mut ring = Ring::new(2, 1000);
         let mut scope = Scope::new(scope_request(rising_trigger(false)), &labels(), 400.0, 0).unwrap();

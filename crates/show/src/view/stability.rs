@@ -147,12 +147,13 @@ pub fn predict_plane(request: &PredictionRequest) -> Option<Plane> {
     })
 }
 
-/// Returns the predicted oscillation of the wall with its present gains: the buzz of an unstable wall.
+/// Returns the oscillation of the wall with its present gains and the hand in contact: outside the boundary, its buzz.
 pub fn predict_buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let wall = request.scene.walls.get(request.wall)?;
-    let (prediction, _) = request.prediction()?;
+    let (mut prediction, _) = request.prediction()?;
+    prediction.hand = request.hand.unwrap_or(prediction.hand);
     let members = [Member::new(request.normal.clone(), 1.0)];
-    prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
+    prediction.predict_buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
 fn limiting_effects(
@@ -344,37 +345,10 @@ impl Predictor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::Demo;
-    use haptic_stability::analysis::plant::Drive;
 
     #[test]
-    fn the_demo_wall_is_stable_only_with_the_feed_forward() {
-        let demo = Demo::shipped(1).unwrap();
-        let scene = demo.scene([0.0, 0.0], FeedForward::Washout).cast::<f64>();
-        let request = PredictionRequest {
-            subject: Subject::new(&demo.file.description).unwrap(),
-            scene,
-            wall: 0,
-            q: demo.q().to_vec(),
-            normal: demo.normal.to_vec(),
-            path: TorquePath { delay_samples: 0.025, drive: Drive::Ideal },
-            hand: None,
-            explain: false,
-        };
+    fn without_a_thread_the_limits_are_explained_with_the_motors_off() {
         let mut predictor = Predictor::default();
-        predictor.request(request);
-        assert!(predictor.is_busy());
-        let plane = loop {
-            if let Some(result) = predictor.take_result() {
-                break result.unwrap();
-            }
-            thread::yield_now();
-        };
-        assert!(!predictor.is_busy());
-        let to = |mode| plane.max_stiffness(mode, demo.damping);
-        assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
-        assert!(to(FeedForward::Washout) < to(FeedForward::Full));
-        assert_eq!(plane.max_stiffness(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

@@ -30,7 +30,6 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError, Column, LinkError, columns, max_rows_per_second};
 use haptic_host::vectors::padded;
 use haptic_predict::boards::torque_path;
-use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::pose::TaskPose;
@@ -91,12 +90,16 @@ pub struct Stage {
     last_poll: Duration,
     device: Device<f64>,
     scene: Scene<f64>,
-    /// The scene when the stage was opened.
+    /// Scene and pose when the world was first opened; the pose (rad) only if it is simulated.
     first: Scene<f32>,
+    start: [f64; 3],
+    /// The rules at the last poll.
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
-    /// The device with its transmissions.
+    /// Largest row rate, if it was given.
+    limit_hz: Option<f64>,
+    /// The device with its transmissions, and the board's delay and drives.
     subject: Subject,
     /// The board's delay and drives.
     path: TorquePath,
@@ -138,9 +141,9 @@ struct Pace {
 }
 
 impl Stage {
-    /// Prepares the board for a view: heartbeats, and a stream of every step, or of `rows_hz` rows a second. Recordings
+    /// Prepares the board for a view: heartbeats, and a stream of every step, or of `limit_hz` rows a second. Recordings
     /// go to `folder`; without a folder they are disabled.
-    pub fn open(mut world: World, hub: Hub, rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
+    pub fn open(mut world: World, hub: Hub, limit_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
@@ -150,8 +153,8 @@ impl Stage {
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let max_rows_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
-        let divider = (rate_hz / rows_hz.unwrap_or(max_rows_hz).min(rate_hz)).ceil().max(1.0) as u32;
+        let link_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
+        let divider = (rate_hz / limit_hz.unwrap_or(link_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());
         // No page holds a key yet.
@@ -172,9 +175,11 @@ impl Stage {
             device,
             scene,
             first,
+            start: world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().start()),
             rules,
             columns,
             rows_hz,
+            limit_hz,
             last_step: None,
             divider,
             trail: Vec::new(),
@@ -499,10 +504,19 @@ impl Stage {
                 Some(_) => self.refuse(id, "a position is two finite numbers"),
                 None => self.refuse(id, "this device is not simulated: hold it in your own hand"),
             },
-            FromPage::StartOver { pose } => match self.world.simulated.clone() {
-                Some(simulated) => self.start_over(id, &simulated, pose)?,
-                None => self.refuse(id, "this device is not simulated: move it back by hand"),
-            },
+            FromPage::StartOver { .. } | FromPage::World { .. } | FromPage::Rate { .. }
+                if self.world.simulated.is_none() =>
+            {
+                self.refuse(id, "this device is not simulated");
+            }
+            FromPage::StartOver { pose } => self.start_over(id, pose),
+            FromPage::World { world } => {
+                self.reopen(id, World::shipped(world));
+            }
+            FromPage::Rate { hz } => {
+                let scene = self.board().scene()?.unwrap_or_default();
+                self.again(id, &Scene { rate_hz: hz, ..scene }, None);
+            }
             FromPage::Here {}
             | FromPage::Disarm {}
             | FromPage::Take {}
@@ -513,42 +527,44 @@ impl Stage {
         Ok(())
     }
 
-    /// Resets device, hand, walls and gains to the start, or puts the device into another pose.
-    fn start_over(&mut self, id: PageId, simulated: &SharedBoard, pose: Option<Vec<f64>>) -> Result<(), BoardError> {
-        let start = match pose {
-            None => simulated.lock().device().start(),
-            Some(q)
-                if q.len() == self.device.axes()
-                    && q.iter().all(|angle| angle.abs() <= TAU)
-                    && TaskPose::of(&self.device.mechanism, &q).is_ok() =>
-            {
-                padded(&q)
+    /// Replaces the simulated world, with the motors off. The pages stay, and so does the page in command. Returns true
+    /// if the world has been replaced.
+    fn reopen(&mut self, id: PageId, world: Result<World, Failure>) -> bool {
+        let (hub, folder) = (self.hub.clone(), self.folder.clone());
+        match world.and_then(|world| Self::open(world, hub, self.limit_hz, folder)) {
+            Ok(stage) => {
+                self.stop_recording(false);
+                let (command, now) = (self.command, self.now);
+                *self = Self { command, now, ..stage };
+                true
             }
-            Some(_) => {
-                self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
-                return Ok(());
+            Err(why) => {
+                self.refuse(id, &why.to_string());
+                false
             }
-        };
-        self.disarm()?;
-        lead_hand(simulated, None);
-        self.goal = None;
-        simulated.lock().device_mut().place(start);
-        // The jump of the encoders is a fault: clears it before it is reported.
-        self.world.board.rows(TIME_SLICE)?;
-        match self.board().clear() {
-            Err(BoardError::Link(error)) => return Err(error.into()),
-            Ok(()) | Err(BoardError::Refused(_)) => {}
         }
-        self.world.board.rows(TIME_SLICE)?;
-        self.world.board.take_reported_faults();
-        let first = self.first.clone();
-        self.board().set_scene(&first)?;
-        (self.last_step, self.requested, self.plane) = (None, None, None);
-        self.pass_time(TIME_SLICE)?;
-        self.trail.clear();
-        self.record_event("started over");
-        self.send_to_all(&self.hello_message());
-        self.reread_scene()
+    }
+
+    /// Creates the simulated world again with another scene, in its first or another pose.
+    fn again(&mut self, id: PageId, scene: &Scene<f32>, pose: Option<Vec<f64>>) {
+        let (first, start) = (Scene { rate_hz: scene.rate_hz, ..self.first.clone() }, self.start);
+        if self.reopen(id, self.world.again(scene, pose.map_or(start, |q| padded(&q)))) {
+            (self.first, self.start) = (first, start);
+        }
+    }
+
+    /// Resets a simulated device and its scene to the start, or puts the device into another pose.
+    fn start_over(&mut self, id: PageId, pose: Option<Vec<f64>>) {
+        let is_possible = pose.as_ref().is_none_or(|q| {
+            q.len() == self.device.axes()
+                && q.iter().all(|angle| angle.abs() <= TAU)
+                && TaskPose::of(&self.device.mechanism, q).is_ok()
+        });
+        if is_possible {
+            self.again(id, &self.first.clone(), pose);
+        } else {
+            self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
+        }
     }
 
     fn tip(&self) -> Vec<f64> {

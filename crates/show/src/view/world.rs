@@ -1,11 +1,13 @@
 //! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
+use haptic_bridge::model::shipped::WORLDS;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, LinkError};
+use haptic_host::scene_file::SceneFile;
 use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
@@ -83,6 +85,30 @@ impl World {
         let mut world = Self::start(file, None)?;
         world.board.set_scene(&scene)?;
         Ok(world)
+    }
+
+    /// Returns the names of the shipped worlds; links use the part before the colon.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        std::iter::once("coupled-five-bar: a wall that the feed-forward quiets").chain(WORLDS.map(|world| world.name))
+    }
+
+    /// Creates a shipped world by its number in [`Self::names`]; the first is [`Self::demo`].
+    pub fn shipped(number: usize) -> Result<Self, Failure> {
+        let Some(index) = number.checked_sub(1) else { return Self::demo() };
+        let no_world = || Failure::wrong(format!("there is no world {number}"));
+        let world = WORLDS.get(index).ok_or_else(no_world)?;
+        let file = DeviceFile::parse(world.device, world.name)?;
+        let read = |(_, text)| SceneFile::parse(text, world.name, file.spec().task)?.scene().map_err(Failure::wrong);
+        let scene = world.scene.map(read).transpose()?;
+        Ok(Self { scene_name: world.scene.map(|(name, _)| name.into()), ..Self::simulate(file, scene)? })
+    }
+
+    /// Creates this simulated world again with another scene, in another pose (rad).
+    pub fn again(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
+        let file = self.file.clone().ok_or_else(|| Failure::wrong("this device is not simulated"))?;
+        let mut world = Self::start(file, Some(pose))?;
+        world.board.set_scene(scene)?;
+        Ok(Self { scene_name: self.scene_name.clone(), weightless: self.weightless, smooth: self.smooth, ..world })
     }
 
     /// Starts the device without its weight, because with the motors off the simulated hand could not carry the weight.

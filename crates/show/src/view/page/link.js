@@ -1,9 +1,9 @@
 "use strict";
 const $ = id => document.getElementById(id);
-const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, trail: [], recent: [], box: null };
+const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, fast: false, trail: [], recent: [], box: null };
 window.view = view;
-// Ripple (N rms) above which a wall buzzes, and share of time at a limit above which the motors dominate the feel. Each
-// feed-forward has the same dashes and colour in every picture.
+// Ripple (N rms) above which a wall buzzes, and share of time at a limit above which no wall is felt. Each feed-forward
+// has the same dashes and colour in every picture.
 const BUZZES = 0.5, LIMITED = 0.2, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
 
 // ---- the link -----------------------------------------------------------------------------------------------------
@@ -14,7 +14,8 @@ function say(message) { if (socket && socket.readyState === 1) socket.send(JSON.
 function connect() {
   socket = carrier();
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => { view.takes = true; askScope(); if (sound) say({ do: "sound", on: true }); };
+  // The board behind a new connection is not known before its hello.
+  socket.onopen = () => { view.takes = true; view.hello = view.frame = null; if (sound) say({ do: "sound", on: true }); };
   socket.onmessage = event => typeof event.data === "string" ? receive(JSON.parse(event.data)) : numbers(new Float32Array(event.data));
   socket.onclose = () => { up(); lost("not connected" + (view.last ? ": " + view.last.if_lost : "")); setTimeout(connect, 1000); };
 }
@@ -27,21 +28,25 @@ function receive(message) {
     case "recorded": notice(message.words, {}, true); break;
     case "plane": view.plane = message.plane; break;
     case "picture": picture(message); break;
-    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, message); showGains(message.of === "gains"); break;
+    case "refused": if (!(view.last && view.last.held)) { up("quietly"); armAfter = performance.now() + 3000; } notice(message.why, message); showGains(message.of === "gains"); break;
     case "lost": lost(message.why); break;
   }
 }
 function hello(message) {
-  view.hello = message; view.trail = []; view.recent = []; view.box = view.closeAt = view.fault = null;
+  const name = [message.device, message.scene, message.simulated].join(), other = view.name !== name;
+  view.name = name; view.hello = message; view.trail = []; view.recent = []; view.box = view.closeAt = view.fault = view.still = slow = null;
   $("device").textContent = message.device;
   document.title = message.device + ": haptic view";
   $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", without its weight" : "") : message.board + " " + message.serial + " on " + message.port) +
-    ", " + unit(message.rate_hz, "Hz") + (message.rows_hz < message.rate_hz ? " (" + unit(message.rows_hz, "Hz") + " shown)" : "");
-  const [grip, arm] = [message.hand.grip, message.hand.arm];
-  $("spring").textContent = $("spring").title = message.simulated ? `You move a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
-  $("hint").textContent = message.simulated ? coarse ? "move the tip with a finger" : "move the tip with the mouse or arrow keys" : "";
-  if (!coarse) $("key").querySelector("small").textContent = message.simulated ? "Space; a click keeps them on until the next" : "Space, or press here; letting go turns them off";
-  $("let-go").hidden = $("start-over").hidden = !message.simulated;
+    (message.rows_hz < message.rate_hz ? ", " + unit(message.rows_hz, "Hz") + " shown" : "");
+  if (other) { view.firstRate = message.rate_hz; document.body.classList.toggle("real", !message.simulated); unfold(!message.simulated); }
+  if (view.next) [view.wanted, view.next] = [view.next, null];
+  listWorlds(message);
+  $("hint").textContent = message.smooth ? "A tenth of the device's dry friction, encoders five times as fine." : "";
+  $("key").firstChild.data = message.simulated ? "Motors on or off" : "Hold: motors on";
+  $("key").querySelector("small").textContent = message.simulated ? "simulated motors need no key" : coarse ? "letting go turns them off" : "Space, or press here; letting go turns them off";
+  for (const id of ["let-go", "start-over", "beyond-label"]) $(id).hidden = message.simulated === (id === "beyond-label");
+  $("rail").parentElement.hidden = !message.smooth;
   $("record").hidden = !message.records;
   setSignals(message.columns); resetComparison();
   askScope();
@@ -66,14 +71,15 @@ $("dismiss").onclick = () => notice("");
 function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
-// With each message about the key the page sends the control step of the newest picture that it had when it detected
-// the key. The board turns the motors off half a second after that step, on a link of any delay.
+// With the key the page sends the step of the newest picture that it had when it saw the key: half a second after that
+// step the board turns the motors off, however slow the link is.
 let beat = 0, lastBeat = 0;
 const seen = () => view.last ? view.last.step : 0;
 function hold() { const now = performance.now(); if (view.down && now - lastBeat > 60) { lastBeat = now; say({ do: "hold", seen: seen() }); } }
 function press() {
   if (view.down) return;
-  view.down = true; notice("");
+  view.down = true;
+  if (!simulated()) notice("");
   say({ do: "arm", seen: seen() });
   beat = setInterval(hold, 80);
   $("key").classList.add("down");
@@ -84,19 +90,19 @@ function up(quietly) {
   if (!quietly || (view.last && view.last.held)) say({ do: "release" });
   $("key").classList.remove("down");
 }
-// Space is the key wherever the focus is, except where a space can be typed; Enter ends typing.
+// On a real board Space is the key wherever the focus is, except where a space can be typed; Enter ends typing.
+// Simulated motors need no key (stage.js): a click of the button turns them on or off.
 const typing = target => target.matches?.("input[type=number], input[type=text], textarea");
 addEventListener("keydown", event => { if (event.key === "Enter" && typing(event.target)) event.target.blur(); });
-addEventListener("keydown", event => { if (event.code === "Space" && !typing(event.target)) { event.preventDefault(); if (!event.repeat) press(); } });
-addEventListener("keyup", event => { if (event.code === "Space") { if (!typing(event.target)) event.preventDefault(); up(); } });
-// On a simulated device a mouse click holds the key until the next click, because the same mouse moves the tip.
-const latches = event => event.pointerType === "mouse" && view.hello?.simulated;
-$("key").onpointerdown = event => { if (latches(event)) return view.down ? up() : press(); $("key").setPointerCapture(event.pointerId); press(); };
-$("key").onpointerup = $("key").onpointercancel = $("key").onlostpointercapture = event => { if (!latches(event)) up(); };
+addEventListener("keydown", event => { if (event.code === "Space" && !typing(event.target) && !simulated()) { event.preventDefault(); if (!event.repeat) press(); } });
+addEventListener("keyup", event => { if (event.code === "Space" && !simulated()) { if (!typing(event.target)) event.preventDefault(); up(); } });
+$("key").onpointerdown = event => { if (!simulated()) { $("key").setPointerCapture(event.pointerId); press(); } };
+$("key").onpointerup = $("key").onpointercancel = $("key").onlostpointercapture = () => { if (!simulated()) up(); };
+$("key").onclick = () => { if (simulated()) { stopped = view.down; stopped ? up() : press(); } };
 $("key").oncontextmenu = event => event.preventDefault();
-addEventListener("blur", () => up());
+addEventListener("blur", () => { if (!simulated()) up(); });
 addEventListener("pagehide", () => up());
-document.addEventListener("visibilitychange", () => { if (document.hidden) up(); });
+document.addEventListener("visibilitychange", () => { if (document.hidden && !simulated()) up(); });
 // While one finger holds the key, the browser makes no click for a second finger.
 let second = null;
 const buttonOf = element => element?.closest?.("button:not(#key)");
@@ -107,10 +113,23 @@ addEventListener("pointerup", event => {
   second = null;
 }, true);
 const coarse = matchMedia("(pointer: coarse)").matches;
-if (coarse) $("key").querySelector("small").textContent = "letting go turns them off";
-$("take").onclick = () => say({ do: view.last && view.last.command === view.you ? "give" : "take" });
-$("off").onclick = () => { up(); say({ do: "disarm" }); };
-$("more").onclick = () => $("more").setAttribute("aria-expanded", document.querySelector("header").classList.toggle("open"));
+$("take").onclick = () => { view.gave = view.last?.command === view.you; say({ do: view.gave ? "give" : "take" }); };
+$("off").onclick = () => { stopped = true; up(); say({ do: "disarm" }); };
+function unfold(open) { document.body.classList.toggle("more", open); $("more").setAttribute("aria-expanded", open); }
+$("more").onclick = () => unfold(!document.body.classList.contains("more"));
+// ---- device and rate of a simulation ------------------------------------------------------------------------------
+const RATES = [500, 1000, 2000, 5000];
+function listWorlds({ simulated, worlds, device, scene, rate_hz }) {
+  const name = device + (scene ? "/" + scene : ""), known = simulated ? worlds : [], mine = known.findIndex(world => world.startsWith(name + ":"));
+  $("choice").replaceChildren(...(mine < 0 ? [new Option(name, "")] : []), ...known.map((world, i) => new Option(world, i)));
+  $("choice").value = mine < 0 ? "" : mine;
+  const rates = simulated ? [...new Set([...RATES, rate_hz])].sort((a, b) => a - b) : [rate_hz];
+  $("rate").replaceChildren(...rates.map(hz => new Option(unit(hz, "Hz"), hz)));
+  $("rate").value = rate_hz;
+  $("choice").disabled = $("rate").disabled = !simulated;
+}
+$("choice").onchange = () => { if ($("choice").value) say({ do: "world", world: +$("choice").value }); };
+$("rate").onchange = () => { resetComparison(); say({ do: "rate", hz: +$("rate").value }); };
 $("clear").onclick = () => say({ do: "clear" });
 $("record").onclick = () => say({ do: "record", on: !view.last.recording });
 setInterval(() => say({ do: "here" }), 1000);
@@ -131,8 +150,7 @@ function unit(value, name) {
 }
 const inKilograms = value => value < 1 ? digits(value * 1e3) + " g" : digits(value) + " kg";
 function picture(p) {
-  // Reports a held key with pictures too, because timers may get no time. This picture may arrive after the key was
-  // released.
+  // Timers may get no time, so pictures also report a held key. This one may arrive after the key was released.
   hold();
   view.last = p; view.pictures++;
   view.trail.push(...p.trail);
@@ -142,20 +160,21 @@ function picture(p) {
   $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
-  // A new page takes command, unless another page has it.
-  if (view.takes && p.command === null) say({ do: "take" });
+  // A new page takes command, unless another page has it; so does the page of a simulation that lost it in the background.
+  view.had ||= mine;
+  if ((view.takes || simulated() && view.had && !view.gave) && p.command === null) say({ do: "take" });
   view.takes = false;
   if (view.wanted && mine && view.hello) follow();
-  // Releases a key that armed late: its press was sent before a refusal arrived, and the page had then released the
-  // key.
+  // A press may have been sent before a refusal arrived, and armed after the page released its key.
   if (mine && p.held && !view.down) say({ do: "release" });
-  // If something else turned the motors off, the key must be pressed again.
+  // Something else turned the motors off: the key must be pressed again.
   if (view.down && view.wasHeld && !p.held) up("quietly");
   view.wasHeld = view.down && p.held;
+  if (mine) runByItself(p);
   document.body.dataset.role = mine ? "command" : "watch";
   // A single page has no other page to give command to.
   const alone = mine && p.pages < 2;
-  $("role").textContent = alone ? "" : (mine ? "you command" : p.command ? "another page commands" : "no page commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
+  $("role").textContent = alone ? touched || !railed() ? "" : "runs by itself" : (mine ? "you command" : p.command ? "another page commands" : "no page commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
   $("take").textContent = mine ? "Give back" : "Take command"; $("take").hidden = alone;
   $("take").disabled = !mine && p.command !== null;
   $("key").disabled = !mine || p.state === "Fault";
@@ -167,7 +186,7 @@ function picture(p) {
   if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault, { of: "fault" });
   view.fault = p.fault;
   if (OVER[view.of]?.(p)) notice("");
-  coach(p); compareRipple(p); markGains(p);
+  compareRipple(p); describe(p); markGains(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [
     ["Force", unit(n.force, "N")], ["Depth", inside ? unit(n.depth, "m") : "outside"], ["Sideways push", unit(n.sideways, "N")],
@@ -180,7 +199,7 @@ function picture(p) {
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));
   shown.forEach(([name, value, hot], i) => { const [dt, dd] = list.children[i].children; dt.textContent = name; dd.textContent = value; dd.className = hot ? "hot" : ""; });
-  // Draws every second picture, because 30 a second leave a slow computer time to report a held key.
-  if (view.pictures % 2) requestDraw();
+  // Thirty pictures a second leave a slow computer time to report that the key is down, and fewer leave it time to simulate.
+  if (view.pictures % (p.speed !== null && p.speed < .8 ? 5 : 2) === 0) requestDraw(view.pictures % 10 !== 0);
 }
 

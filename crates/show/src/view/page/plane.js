@@ -8,16 +8,21 @@ function showGains(force) {
   view.wall = Math.min(view.wall, Math.max(0, count - 1)); $("wall").value = view.wall;
   const wall = view.walls[view.wall]; if (!wall) return;
   for (const id of ["stiffness", "damping"]) if (force || document.activeElement !== $(id)) $(id).value = +wall[id].toPrecision(4);
+  const [off, on] = $("ff").children, is = wall.feed_forward;
+  $("ff").setAttribute("aria-checked", is !== "off"); off.className = is === "off" ? "off" : ""; on.className = is === "off" ? "" : is; on.textContent = is === "full" ? "full" : "on";
   for (const mode of MODES) { const on = wall.feed_forward === mode; $("ff-" + mode).classList.toggle("on", on); $("ff-" + mode).setAttribute("aria-pressed", on); }
   requestDraw();
 }
 function sendGains(change, throttled) {
   const { stiffness, damping, feed_forward } = { ...view.walls[view.wall], ...change };
-  const message = { do: "gains", wall: view.wall, stiffness, damping, feed_forward, beyond: $("beyond").checked };
+  const message = { do: "gains", wall: view.wall, stiffness, damping, feed_forward, beyond: simulated() || $("beyond").checked };
   throttled ? sayThrottled(message) : say(message);
 }
 for (const mode of MODES) $("ff-" + mode).onclick = () => sendGains({ feed_forward: mode });
-for (const id of ["stiffness", "damping"]) $(id).onchange = () => { const value = $(id).valueAsNumber; if (value >= 0) sendGains({ [id]: value }); };
+for (const id of ["stiffness", "damping"]) $(id).onchange = () => {
+  const value = $(id).valueAsNumber;
+  if (value >= 0) sendGains({ [id]: value }); else { notice(`${id} is a number from 0`, { of: "gains" }); showGains(true); }
+};
 $("wall").onchange = () => { view.wall = +$("wall").value; showGains(); };
 $("scale").onchange = () => requestDraw();
 
@@ -84,8 +89,8 @@ function drawPlane() {
   if (plane) chooseScale(wall, ...tops);
   const scale = $("scale").value, log = scale === "log";
   let [kdEnds, kpEnds] = [ends(wall.damping, tops[0], scale), ends(wall.stiffness, tops[1], scale)];
-  // The picture keeps its scale during a drag.
-  if (turning) [kdEnds, kpEnds] = turning.ends; else view.ends = [kdEnds, kpEnds];
+  // The picture keeps its scale during a drag, and where a limit of the motors lets the tip slide to another pose.
+  if (turning || view.limited && view.ends) [kdEnds, kpEnds] = turning?.ends || view.ends; else view.ends = [kdEnds, kpEnds];
   const left = 4.2 * size, right = w - 10, top = 8, foot = h - 2.7 * size, kilo = kpEnds[1] > 2000;
   const ax = axisOf(kdEnds, left, right, log, (right - left) / (4.6 * size)), ay = axisOf(kpEnds, foot, top, log, (foot - top) / (2.2 * size));
   const X = kd => Math.max(left, ax.to(kd)), Y = kp => Math.min(foot, ay.to(kp));
@@ -113,11 +118,11 @@ function drawPlane() {
   } else { c.fillStyle = palette.dim; c.fillText("the boundary is computed when the tip is nearest to this wall", left + 8, top + 1.4 * size); }
   points.marks = drawMarks(c, X, Y, plane, wall);
   c.restore();
-  const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = limit === null || wall.stiffness <= limit;
+  const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = !view.limited && (limit === null || wall.stiffness <= limit);
   document.body.dataset.stable = stable;
   if (!stable && view.last?.numbers.wall === view.wall) view.predictedBuzz = view.last.buzz?.hz ?? null;
   const [x, y] = [X(wall.damping), Y(wall.stiffness)], gains = `${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}`;
-  const verdict = stable ? limit === null ? "" : "predicted stable" : "predicted " + (view.predictedBuzz ? `buzz at ${digits(view.predictedBuzz, 2)} Hz` : "to be unstable");
+  const verdict = view.limited ? "not rendered: motors at their limit" : stable ? limit === null ? "" : "predicted stable" : "predicted " + (view.predictedBuzz ? `buzz at ${digits(view.predictedBuzz, 2)} Hz` : "to be unstable");
   c.fillStyle = stable ? palette.ink : palette.bad; c.strokeStyle = palette.card; c.lineWidth = 3;
   c.beginPath(); c.arc(x, y, 9, 0, 2 * Math.PI); c.fill(); c.stroke();
   const taken = [[x - 11, y - 11, 22, 22]], sides = [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(([sx, sy]) => [x + 13 * sx, y + 5 * sy, sx, sy]);

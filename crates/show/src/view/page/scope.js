@@ -24,11 +24,12 @@ function setSignals(columns) {
 function askScope() {
   if (!view.hello) return;
   const channels = [$("channel-a").value, $("channel-b").value].filter(name => name), kind = $("trigger").value;
-  const request = { do: "scope", channels, seconds: +$("window").value };
+  // The slow motion needs the wall's force and distance.
+  const all = [...new Set([...channels, "rendered_n", "distance_m"])], request = { do: "scope", channels: all, seconds: +$("window").value };
   if (kind) request.trigger = { channel: channels[0], level: ($("level").valueAsNumber || 0) / signal(channels[0]).factor, rising: $("edge").value === "up", before: +$("before").value, once: kind === "once" };
   for (const element of document.querySelectorAll(".triggered")) element.hidden = !kind;
   $("level-unit").textContent = signal(channels[0]).unit;
-  view.channels = channels; view.ghost = null; say(request);
+  view.channels = all; view.shown = channels.length; view.ghost = null; say(request);
   if (kind) { view.sweep = null; drawScope(); }
   phase(kind ? 2 : 0);
 }
@@ -36,10 +37,10 @@ function phase(number) { const words = ["rolling", "triggered", "waiting for the
 for (const id of ["channel-a", "channel-b", "window", "trigger", "edge", "level", "before"]) $(id).onchange = askScope;
 function numbers(values) {
   if (values[0] === 2) { view.sounds++; play(values[1], values.subarray(2)); return; }
-  // Ignores a rolling sweep that arrives after a trigger was requested.
+  // A rolling sweep may still arrive after a trigger was requested: ignore it.
   if (values[1] === 0 && $("trigger").value) return;
   phase(values[1]);
-  // In hold mode the last sweep stays while the scope waits for the next crossing.
+  // In hold mode the last crossing stays while the scope waits for the next.
   if (values[1] === 2 && $("trigger").value === "hold") return;
   view.sweep = values; view.sweeps++; drawScope();
 }
@@ -63,7 +64,8 @@ function pairs(sweep, channel) {
 }
 function drawScope() {
   const [c, w, h, size] = prepareCanvas($("scope")), s = view.sweep; if (!s || !view.channels) return;
-  const [, kind, seconds, crossing, channels] = s, two = channels > 1;
+  const [, kind, seconds, crossing] = s, channels = view.shown, two = channels > 1, wall = view.walls[view.wall];
+  if (s[4] !== view.channels.length) return;
   const left = 3.6 * size, right = w - (two ? 3.8 * size : 8), top = 1.5 * size, foot = h - 1.6 * size, X = t => left + t / seconds * (right - left);
   c.lineWidth = 1; c.textAlign = "center";
   for (let i = 0; i <= 5; i++) {
@@ -71,13 +73,15 @@ function drawScope() {
     c.strokeStyle = palette.line; c.beginPath(); c.moveTo(X(t), top); c.lineTo(X(t), foot); c.stroke();
     c.fillStyle = palette.dim; if (i > 0 && i < 5) c.fillText(seconds < 1 ? tick(1e3 * (t - crossing)) + " ms" : tick(t - crossing) + " s", X(t), h - .4 * size);
   }
-  const trace = (values, Y) => {
+  const trace = (values, Y, about) => {
     c.beginPath(); let pen = false;
+    if (about !== undefined) { c.moveTo(left, Y(about)); pen = true; }
     values.forEach(([a, b], i) => {
       if (!(a <= b)) { pen = false; return; }
       const x = left + (i + .5) / values.length * (right - left);
       pen ? c.lineTo(x, Y(a)) : c.moveTo(x, Y(a)); pen = true; if (b > a) c.lineTo(x, Y(b));
     });
+    if (about !== undefined) { c.lineTo(right, Y(about)); c.fill(); }
     c.stroke();
   };
   for (let channel = channels - 1; channel >= 0; channel--) {
@@ -85,7 +89,7 @@ function drawScope() {
     let [low, high] = [Infinity, -Infinity];
     for (const [a, b] of values) { if (a < low) low = a; if (b > high) high = b; }
     if (low > high) continue;
-    const range = axis(label, low, high), Y = v => foot - (v - range.low) / (range.high - range.low) * (foot - top), own = channel ? palette.b : palette.a;
+    const range = axis(label, low, high), Y = v => foot - (v - range.low) / (range.high - range.low) * (foot - top), own = label === "rendered_n" && wall ? palette[wall.feed_forward + "-name"] : channel ? palette.dim : palette.ink;
     c.lineWidth = 1; c.fillStyle = own; c.textAlign = channel ? "left" : "right";
     for (let k = Math.ceil(range.low / range.step - 1e-9); k * range.step <= range.high * (1 + 1e-9) + 1e-12; k++) {
       const y = Y(k * range.step);
@@ -95,47 +99,53 @@ function drawScope() {
     c.textAlign = channel ? "right" : "left";
     c.fillText(name + (unit && ", " + unit), channel ? w - 4 : 4, size);
     if (!channel && view.ghost) {
-      c.strokeStyle = palette[view.ghost.mode]; c.lineWidth = 1.2; c.setLineDash(view.ghost.mode === "off" ? [6, 3] : DASH[view.ghost.mode]); c.globalAlpha = .8; trace(view.ghost.values, Y); c.globalAlpha = 1; c.setLineDash([]);
-      c.fillStyle = palette.ink; c.textAlign = "center"; c.fillText("╌ before: " + NAMES[view.ghost.mode], (left + right) / 2, size);
+      // Before: pale and filled about its mean; now: bold, in its own colour.
+      const past = view.ghost.values.filter(([a, b]) => a <= b), middle = past.reduce((sum, [a, b]) => sum + a + b, 0) / past.length / 2;
+      c.strokeStyle = palette.hatch; c.fillStyle = palette.before; c.lineWidth = .8; trace(past, Y, middle);
     }
     if (!channel && $("trigger").value) {
       const y = Y($("level").valueAsNumber || 0);
       if (y >= top && y <= foot) { c.strokeStyle = own; c.lineWidth = 1; c.setLineDash([2, 4]); c.beginPath(); c.moveTo(left, y); c.lineTo(right, y); c.stroke(); c.setLineDash([]); c.fillStyle = own; c.textAlign = "left"; c.fillText("level", left + 4, y - 3); }
     }
-    c.strokeStyle = own; c.lineWidth = channel ? 1.2 : 1.8; trace(values, Y);
+    c.strokeStyle = own; c.lineWidth = channel ? 1.4 : 2.6; trace(values, Y);
+    if (!channel && view.ghost && wall) {
+      const words = "now: " + NAMES[wall.feed_forward];
+      c.textAlign = "right"; c.fillStyle = own; c.font = `700 ${size}px system-ui, sans-serif`; c.fillText(words, right, size);
+      const wide = c.measureText(words).width; c.font = `${size}px system-ui, sans-serif`; c.fillStyle = palette.dim; c.fillText("before: " + NAMES[view.ghost.mode], right - wide - size, size);
+    }
   }
   if (kind === 1 || kind === 3) { c.strokeStyle = palette.dim; c.lineWidth = 1; c.setLineDash([4, 4]); c.beginPath(); c.moveTo(X(crossing), top); c.lineTo(X(crossing), foot); c.stroke(); c.setLineDash([]); }
 }
 
-// ---- before and after ---------------------------------------------------------------------------------------------
-// Compares the ripple of the pressed wall with the ripple under the previous feed-forward.
-let now = null, before = null;
+// ---- before and now -----------------------------------------------------------------------------------------------
+// The ripple of the pressed wall, compared with the ripple under the previous feed-forward; at a limit of the motors
+// there is none. `measured` is the last buzz, with its prediction.
+let now = null, before = null, measured = "";
 function compareRipple(p) {
   const wall = view.walls[view.wall], n = p.numbers, pressed = p.state === "Armed" && n.depth > 0 && n.wall === view.wall;
+  if (pressed) [view.pressedAt, view.missed] = [p.time, 0];
+  // A buzz lifts the tip off between its pushes, and a slow computer draws few pictures of it.
+  view.fast = p.state === "Armed" && (p.time - view.pressedAt < LIFTED || view.missed++ < 4);
+  view.limited = !!view.fast && n.saturated > LIMITED;
+  // Other gains are another wall.
+  const gains = wall && [wall.stiffness, wall.damping].join();
+  if (now && now.gains !== gains) { now = before = view.ghost = null; measured = ""; }
   if (wall && now?.mode !== wall.feed_forward) {
-    if (now?.ripple !== null && now) { before = now; if (view.sweep && view.pressed) view.ghost = { mode: now.mode, values: pairs(view.sweep, 0) }; }
-    now = { mode: wall.feed_forward, ripple: null, since: p.time };
+    if (now?.ripple > 0) { before = now; if (view.sweep && view.fast) view.ghost = { mode: now.mode, values: pairs(view.sweep, 0) }; }
+    now = { mode: wall.feed_forward, gains, ripple: null, since: p.time };
   }
-  if (!wall || !pressed) { if (now) now.since = p.time; }
-  // Skips the first 0.3 s, which belong to the previous mode or to the touch.
-  else if (p.time - now.since > 0.3) { now.ripple = n.ripple; now.frequency = n.frequency; }
-  view.pressed = pressed; view.buzz = pressed && n.ripple > BUZZES ? n.frequency : null;
-  const words = part => `${NAMES[part.mode]} ${part.ripple === null ? "–" : digits(part.ripple, 2) + " N"}`;
-  $("ripple-before").textContent = before ? words(before) + " →" : "";
-  $("ripple-now").textContent = now ? words(now) : "–";
-  $("ripple-now").classList.toggle("hot", pressed && !!now && now.ripple > BUZZES);
-  $("buzz").textContent = view.buzz ? `at ${digits(view.buzz, 2)} Hz` : "";
-  const limited = pressed && n.saturated > LIMITED;
-  $("predicted").textContent = limited ? "motors at their limit: press more gently" : view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
-  const [free, kept] = (n.inertia || []).map(inKilograms), coupled = n.inertia && n.inertia[1] > 1.005 * n.inertia[0];
-  const effect = !wall || !n.inertia ? "" : !coupled ? `the tip does not swerve here: with and without feed-forward the wall meets ${free}` : {
-    off: `off: the wall meets ${free}, because the tip may swerve sideways`,
-    full: `full: torques that stop the swerve, so the wall meets ${kept}; a resting hand is pushed sideways`,
-    washout: `washed out: torques that stop the swerve, so the wall meets ${kept}; they fade for a resting hand`,
-  }[wall.feed_forward];
-  if ($("effect").textContent !== effect) $("effect").textContent = effect;
+  if (now && (!view.fast || view.limited)) { now.since = p.time; if (view.limited) now.ripple = null; }
+  // The first tenths of a second still belong to the previous mode, or to the touch.
+  else if (now && p.time - now.since > 0.4) { now.ripple = n.ripple; now.settled = p.time - now.since > .8; }
+  view.buzz = view.fast && !view.limited && n.ripple > BUZZES ? n.frequency : null;
+  if (view.buzz && now.ripple !== null) measured = view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz, measured ${digits(view.buzz, 2)}` : `measured ${digits(view.buzz, 2)} Hz`;
+  const times = before?.ripple / now?.ripple, name = part => part.mode === "washout" ? "on" : NAMES[part.mode], many = ratio => ratio < 1.5 ? "as quiet" : ratio < 10 ? digits(ratio, 2) : String(+ratio.toPrecision(2));
+  const louder = times < 1 / 1.5, factor = louder ? many(1 / times) : many(times), than = before && (factor === "as quiet" ? "as quiet as" : `${factor} times ${louder ? "louder" : "quieter"} than`);
+  const words = view.limited ? "Not rendered: motors at their limit." : !now || now.ripple === null ? "" : before ? `Now ${name(now)}: ${than} ${name(before)}` : `Now ${name(now)}: ripple ${digits(now.ripple, 2)} N`;
+  if (words && (now.settled || view.limited)) tell("ripple", words + (measured && !view.limited ? "; " + measured + "." : ""));
+  else if (!words && !view.fast && !now?.ripple) tell("ripple", "");
 }
-function resetComparison() { now = before = null; fit(); }
+function resetComparison() { now = before = null; measured = ""; fit(); }
 
 // ---- sound --------------------------------------------------------------------------------------------------------
 // A tone whose loudness follows the torque: a buzz of 73 Hz is audible as 220 Hz plus and minus 73 Hz, which small

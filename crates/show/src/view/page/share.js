@@ -2,9 +2,9 @@
 // A link's settings follow its #: device and scene by the names of their files, pose (rad), and for each wall
 // stiffness, damping, feed-forward, point, normal. Each lesson is a name, a link, and a task.
 const LESSONS = [
-  ["1 Why does a wall buzz?", "device=hapkit-paddle/slow", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
+  ["1 Why does a wall buzz?", "device=hapkit-paddle/slow", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, come out, and strike."],
   ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Move the tip around: the dashed ellipse is the mass that a push meets, by direction."],
-  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full", "Press a centimetre deep with Full, Washed out and Off: which one pushes you sideways, which one buzzes?"],
+  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full", "Press into the wall with Full, Washed out and Off (More): which one pushes you sideways, which one buzzes?"],
   ["4 Why does friction hide it?", "device=hapkit-paddle/slow&wall=10000,60,off", "This wall is beyond the curve and quiet: friction and the hand hold it. Raise it, or strike it, until it buzzes."],
   ["5 What limits a real wall?", "device=hapkit-paddle/wall&wall=20000,60,off", "Set the scope to 20 ms and move slowly in the wall: each count of the encoder is a step of force."],
 ];
@@ -33,16 +33,19 @@ function read(hash) {
 function readLink() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
 // Applies a link's settings once a device is known. A link never moves a real device.
 function follow() {
-  const { device, pose, walls, scale, task } = view.wanted;
-  view.wanted = null; view.scale = scale;
+  const wanted = view.wanted, { device, pose, walls, scale, task } = wanted;
+  view.wanted = null; view.scale = scale; touched = true;
   const not = why => notice(`Nothing was changed: ${why}`, { of: "link" });
   if (!view.hello.simulated) return not("links set up simulated devices only");
   if (device && ![shown(), view.hello.device].includes(device)) {
-    // Only lessons are sure to name shipped files; a lesson without a scene uses the demo.
-    const [name, scene] = device.split("/"), files = scene ? ` devices/${name}.toml --scene devices/scenes/${name}/${scene}.toml` : "";
-    return not(`the link is for ${device}, and this page shows ${shown()}. ${task ? `Show it with: haptic view${files} --port sim` : "Open it where haptic view shows that device and scene."}`);
+    const world = view.hello.worlds.findIndex(name => [":", "/"].some(end => name.startsWith(device + end)));
+    if (world < 0) return not(`this page does not have the link's device ${device}`);
+    // The rest follows when that device is there.
+    view.next = wanted;
+    return say({ do: "world", world });
   }
   if (walls.length > view.walls.length) return not(`the link has ${walls.length} walls, and this scene ${view.walls.length}`);
+  $("rail").checked = !pose && walls.every(wall => !wall.point); armAfter = performance.now() + 1000;
   say({ do: "start-over", ...(pose ? { pose } : {}) });
   walls.forEach(({ gains, point, normal }, wall) => {
     if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });
@@ -62,8 +65,10 @@ $("copy").onclick = async () => {
   try { await navigator.clipboard.writeText(location.href); done("Copied: a link to this device, pose, walls and gains."); }
   catch { done("The link is in the address bar."); }
 };
-function rereadLink() { const wrong = readLink(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); return !wrong; }
-addEventListener("hashchange", () => { if (rereadLink()) window.playground?.follow(); });
+function rereadLink() { const wrong = readLink(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); }
+addEventListener("hashchange", rereadLink);
+$("lesson").replaceChildren(new Option("Lessons", ""), ...LESSONS.map(([name], i) => new Option(name, i + 1)));
+$("lesson").onchange = () => { if ($("lesson").value) location.hash = "lesson=" + $("lesson").value; $("lesson").value = ""; };
 
 const escapeXml = words => words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`);
 
@@ -93,19 +98,17 @@ class Drawing {
     const own = this.at.join() === "1,0,0,1,0,0" ? "" : ` transform="matrix(${this.at.map(short)})"`, seen = this.globalAlpha < 1 ? ` opacity="${short(this.globalAlpha)}"` : "";
     this.out.push(`<g${this.clipped}><${element}${own}${seen}${inside === undefined ? "/>" : `>${inside}</${element.split(" ")[0]}>`}</g>`);
   }
-  colour(style) { return typeof style === "string" ? style : "url(#hatch)"; }
-  stroke() { if (this.d) this.put(`path d="${this.d}" fill="none" stroke="${this.colour(this.strokeStyle)}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${this.dash.length ? ` stroke-dasharray="${this.dash}"` : ' stroke-linecap="round"'}`); }
-  fill(rule) { if (this.d) this.put(`path d="${this.d}" fill="${this.colour(this.fillStyle)}"${rule ? ` fill-rule="${rule}"` : ""}`); }
-  fillRect(x, y, w, h) { this.put(`rect x="${short(x)}" y="${short(y)}" width="${short(w)}" height="${short(h)}" fill="${this.colour(this.fillStyle)}"`); }
+  stroke() { if (this.d) this.put(`path d="${this.d}" fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${this.dash.length ? ` stroke-dasharray="${this.dash}"` : ' stroke-linecap="round"'}`); }
+  fill(rule) { if (this.d) this.put(`path d="${this.d}" fill="${this.fillStyle}"${rule ? ` fill-rule="${rule}"` : ""}`); }
+  fillRect(x, y, w, h) { this.put(`rect x="${short(x)}" y="${short(y)}" width="${short(w)}" height="${short(h)}" fill="${this.fillStyle}"`); }
   clip() { this.defs.push(`<clipPath id="clip${this.defs.length}"><path d="${this.d}"/></clipPath>`); this.clipped = ` clip-path="url(#clip${this.defs.length - 1})"`; }
-  createPattern() { return {}; }
   measureText(words) { this.ruler.font = this.font; return this.ruler.measureText(words); }
   words(words, x, y, paint) {
     const [, weight, pixels] = /^(\d+ )?([\d.]+)px/.exec(this.font), size = +pixels, anchor = { left: "start", center: "middle", right: "end" }[this.textAlign];
     const low = this.textBaseline === "middle" ? .35 * size : 0;
     this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, escapeXml(words));
   }
-  fillText(words, x, y) { this.words(words, x, y, `fill="${this.colour(this.fillStyle)}"`); }
+  fillText(words, x, y) { this.words(words, x, y, `fill="${this.fillStyle}"`); }
   strokeText(words, x, y) { this.words(words, x, y, `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}"`); }
 }
 // Returns one of the three pictures at the width of a column (85 mm) or a page (170 mm) of a paper, in letters of 8
@@ -117,11 +120,10 @@ function svgOf(what, millimetres) {
   paper = { context, width, height, size };
   ({ stage: drawStage, plane: drawPlane, scope: drawScope })[what]();
   paper = null; document.documentElement.classList.toggle("dark", dark);
-  const hatch = `<pattern id="hatch" width="9" height="15" patternUnits="userSpaceOnUse"><path d="M-9 15L0 0M0 15L9 0M9 15L18 0" stroke="${palette.hatch}" stroke-width="1.5"/></pattern>`;
   readPalette(); drawStage(); drawPlane(); drawScope();
   const wall = view.walls[view.wall], about = view.hello.device + (wall ? `, ${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}, feed-forward ${NAMES[wall.feed_forward]}` : "");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${millimetres}mm" height="${short(height * 25.4 / 96)}mm" viewBox="0 0 ${short(width)} ${short(height)}" font-family="Helvetica, Arial, sans-serif">\n` +
-    `<title>${escapeXml(about)}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
+    `<title>${escapeXml(about)}</title>\n<defs>${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
 }
 $("save").onchange = () => {
   const [what, millimetres] = $("save").value.split(" "), anchor = document.createElement("a");

@@ -1,46 +1,74 @@
-// ---- the coach ----------------------------------------------------------------------------------------------------
-// Three steps for first-time users of a simulation. Each step is ticked off once it has happened; its words fit the
-// input device used last. Only the demo has the last step, because its wall is known to buzz.
-let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
-try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser without storage shows the steps again. */ }
-const COACH = {
-  mouse: ["hold Space or click the green button: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
-  touch: ["hold the green button: motors on", "pull the tip into the WALL", "tap Off and confirm: it buzzes; Washed out: it is gone"],
-  keys: ["hold Space: motors on", "into the WALL by arrow keys on the picture", "press Off and confirm: it buzzes; Washed out: it is gone"],
-};
-addEventListener("pointerdown", event => { used = event.pointerType === "touch" ? "touch" : "mouse"; }, true);
-addEventListener("keydown", event => { if (event.key === "Tab" || event.key.startsWith("Arrow")) used = "keys"; }, true);
-function endCoach() { coached = true; try { localStorage.setItem("coached", "yes"); } catch { /* As above. */ } }
-$("coached").onclick = () => { endCoach(); $("coach").hidden = true; };
-function coach(p) {
-  if (coached || !view.hello) return;
-  const last = view.hello.smooth ? 3 : 2, wall = view.walls[p.numbers.wall], pressed = p.state === "Armed" && p.numbers.depth > 0;
-  $("coach").hidden = !view.hello.simulated || !view.walls.length;
-  if (steps === 0 && p.held) steps = 1;
-  if (steps === 1 && pressed) steps = 2;
-  if (steps === 2 && pressed && last === 3) {
-    if (wall.feed_forward === "off") buzzed ||= p.numbers.ripple > BUZZES;
-    else if (buzzed && wall.feed_forward === "washout" && p.numbers.ripple < BUZZES) steps = 3;
-  }
-  [...$("coach").querySelectorAll("span")].forEach((step, i) => {
-    const words = (i < steps ? "✓ " : i + 1 + " ") + COACH[used][i];
-    if (step.textContent !== words) step.textContent = words;
-    step.className = i === steps ? "next" : ""; step.hidden = i >= last;
-  });
-  if (steps === last) { endCoach(); setTimeout(() => { $("coach").hidden = true; }, 4000); }
+// ---- a simulation runs by itself ----------------------------------------------------------------------------------
+// Simulated motors are on without a key, unless a click turned them off (`stopped`). Until the first touch the demo's
+// hand presses into the wall and the feed-forward goes off and on, every SWITCH seconds.
+const SWITCH = 4;
+let touched = false, stopped = false, switched = null, armAfter = 0;
+const simulated = () => !!view.hello?.simulated;
+function runByItself(p) {
+  if (!simulated()) return;
+  if (p.state === "Disarmed" && !view.down && !stopped && !document.hidden && performance.now() > armAfter) { armAfter = performance.now() + 500; press(); }
+  if (touched || !railed() || p.state !== "Armed") return;
+  if (!p.hand) lead(wallPlace(-RAIL.least));
+  // Where simulated time lags, a phase ends once it has been seen.
+  const real = performance.now() / 1000, visible = view.walls[0].feed_forward === "off" ? view.buzz : now?.settled;
+  if (!switched || p.time - switched.time > SWITCH || p.speed < .8 && visible && real - switched.real > .75 * SWITCH) { flip(!switched); switched = { time: p.time, real }; }
+}
+function flip(off) { sendGains({ feed_forward: off || view.walls[view.wall]?.feed_forward !== "off" ? "off" : "washout" }); }
+$("ff").onclick = () => flip();
+// The first touch hands over. A browser allows sound only after a press.
+let heard = false;
+for (const kind of ["pointerdown", "pointerup", "keydown"]) addEventListener(kind, event => {
+  if (event.isTrusted) touched = true; else return;
+  if (kind !== "pointerdown" && !heard && simulated()) { heard = true; if (!sound) $("sound").onclick(); }
+}, true);
+
+// The demo's hand runs on a rail along the wall's normal, where the device couples: it is in front of the wall, at most
+// `before` (m), or as deep as the wall needs for a buzz that grows and the motors can hold.
+const RAIL = { before: .012, least: .026, most: .032 };
+const railed = () => view.hello?.smooth && $("rail").checked && view.walls[0]?.outline?.is === "line";
+function wallPlace(along) { const { at, normal } = view.walls[0].outline; return [at[0] + along * normal[0], at[1] + along * normal[1]]; }
+function onRail(place) {
+  if (!railed()) return place;
+  const { at, normal } = view.walls[0].outline, along = (place[0] - at[0]) * normal[0] + (place[1] - at[1]) * normal[1];
+  return wallPlace(along > 0 ? Math.min(along, RAIL.before) : -Math.min(Math.max(-along, RAIL.least), RAIL.most));
+}
+// While the motors go on, the stage moves the hand.
+function lead(place, last = true) { if (view.down && !view.last.held) return; const message = { do: "hand", at: toTask(onRail(place)) }; last ? say(message) : sayThrottled(message); }
+
+// One sentence for the thing that is seen.
+function describe(p) {
+  const wall = view.walls[p.numbers.wall], off = wall?.feed_forward === "off", stable = document.body.dataset.stable !== "false", [free, kept] = p.numbers.inertia || [], coupled = kept > 1.005 * free;
+  const words = !wall ? "No wall in this scene." : p.state === "Fault" ? "A fault turned the motors off." : p.state !== "Armed" ? "The motors are off: the wall gives no force."
+    : view.limited ? "Not rendered: motors at their limit. Pull less, or choose a softer wall."
+    : !view.fast ? simulated() ? "Pull the tip into the wall." : "Move the tip into the wall."
+    : view.buzz ? "The force comes late and pushes the tip on: the wall buzzes." + (off && coupled ? " Turn the feed-forward on." : "")
+    : !stable ? `${off ? "Without feed-forward" : "With these gains"} a small shake grows.`
+    : !coupled ? "Quiet. Nothing couples here: the feed-forward changes nothing."
+    : off ? "Quiet without feed-forward at these gains." : `Quiet: the feed-forward stops the tip's swerve, so the wall meets ${inKilograms(kept)} instead of ${inKilograms(free)}.`;
+  tell("told", words);
+  $("told").classList.toggle("hot", !!(view.buzz || view.limited));
+}
+// Changes a live region at most once a second, because a screen reader reads each change.
+const toldAt = {};
+function tell(id, words) {
+  if ($(id).textContent === words || performance.now() - (toldAt[id] || 0) < 1000) return;
+  toldAt[id] = performance.now(); $(id).textContent = words;
 }
 
 // ---- drawing ------------------------------------------------------------------------------------------------------
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 let palette = {};
-function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "off-name", "full-name", "washout-name", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
+function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "hand", "force", "off", "full", "washout", "off-name", "full-name", "washout-name", "spring", "bad", "before"]) palette[name] = colour(name); }
 function theme(dark) { document.documentElement.classList.toggle("dark", dark); readPalette(); requestDraw(); }
 $("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 prefersDark.onchange = event => theme(event.matches);
-let asked = false;
-function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
-// Redraws after every change of a size: stretching distorts letters, and a single sweep is drawn only once.
+let asked = false, planeToo = false;
+function requestDraw(stageOnly) {
+  planeToo ||= stageOnly !== true;
+  if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); if (planeToo) drawPlane(); planeToo = false; }); }
+}
+// Also if the window keeps its size: stretching distorts letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
 // Returns a cleared canvas, its width, height and letter size in its own pixels; or the picture that is being saved.
@@ -62,9 +90,8 @@ const armOf = g => g.bars.length ? Math.hypot(g.bars[0][1][0] - g.bars[0][0][0],
 const fromTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
 const toTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
 function frame(w, h) {
-  // The picture keeps still during a drag, because otherwise the position under the pointer would move away from the
-  // pointer.
-  if (grabbed && view.frame.w === w && view.frame.h === h) return view.frame;
+  // During a drag the picture keeps still, because the position under the pointer would move away from it.
+  if (grabbed && view.frame?.w === w && view.frame.h === h) return view.frame;
   const g = view.last.geometry;
   // The picture includes the points of walls near the tip.
   const near = view.walls.map(wall => fromTask([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
@@ -74,10 +101,12 @@ function frame(w, h) {
   for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
   view.box = box;
   let centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
-  let scale = Math.min(w / (box[2] - box[0] + 0.09), h / (box[3] - box[1] + 0.09));
+  // Room for the slow motion, and for the legend above the picture.
+  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), [top, high] = slowly.below && !paper ? [3 * size, h - slowly.high] : [0, h];
+  let scale = Math.min(w / (box[2] - box[0] + 0.09), (high - top) / (box[3] - box[1] + 0.08));
   if (view.close) { view.closeAt = view.closeAt || [...g.tip]; centre = view.closeAt; scale = Math.min(w, h) / 0.05; }
-  view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => h / 2 - (y - centre[1]) * scale,
-    from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - h / 2) / scale] };
+  view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => (top + high) / 2 - (y - centre[1]) * scale,
+    from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - (top + high) / 2) / scale] };
   return view.frame;
 }
 function arrow(c, x, y, dx, dy) {
@@ -94,21 +123,11 @@ function spring(c, x0, y0, x1, y1) {
   for (let i = 1; i < 2 * turns; i++) { const s = i / (2 * turns) * length, side = (i % 2 ? 5 : -5); c.lineTo(x0 + ux * s - uy * side, y0 + uy * s + ux * side); }
   c.lineTo(x1, y1); c.stroke();
 }
-// Returns the handle of a wall; for a plane it is next to its point, where it does not cover the tip.
+// Handle of a wall: for a plane it is next to its point, where the tip is not in the way.
 function wallHandle(wall) {
   const v = wall.values, line = wall.outline?.is === "line" ? wall.outline : null, aside = 90 / view.frame.scale;
   if (view.hello.task === 1) return fromTask([v[0], 0]);
   return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
-}
-let hatch = {};
-function hatchPattern(c) {
-  if (hatch.of !== palette.hatch) {
-    const tile = document.createElement("canvas"), t = tile.getContext("2d");
-    tile.width = 9; tile.height = 15; t.strokeStyle = palette.hatch; t.lineWidth = 1.5; t.beginPath();
-    for (const x of [-9, 0, 9]) { t.moveTo(x, 15); t.lineTo(x + 9, 0); } t.stroke();
-    hatch = { of: palette.hatch, pattern: c.createPattern(tile, "repeat") };
-  }
-  return hatch.pattern;
 }
 function drawWall(c, f, w, h, size, wall, index) {
   const v = wall.values, o = wall.outline, chosen = index === view.wall;
@@ -116,12 +135,12 @@ function drawWall(c, f, w, h, size, wall, index) {
   if (o?.is === "line") {
     const long = 2 * (w + h);
     c.translate(f.toX(o.at[0]), f.toY(o.at[1])); c.rotate(Math.atan2(o.normal[0], o.normal[1]));
-    c.globalAlpha = .5; c.fillRect(-long, 0, 2 * long, long); c.fillStyle = hatchPattern(c); c.fillRect(-long, 0, 2 * long, long); c.globalAlpha = 1;
+    c.fillRect(-long, 0, 2 * long, long);
     c.beginPath(); c.moveTo(-long, 0); c.lineTo(long, 0); c.stroke();
   } else if (o?.is === "circle") {
     c.beginPath(); c.arc(f.toX(o.at[0]), f.toY(o.at[1]), o.radius * f.scale, 0, 2 * Math.PI); c.stroke();
     if (o.inside) c.rect(-w, -h, 3 * w, 3 * h);
-    c.globalAlpha = .5; c.fill("evenodd"); c.fillStyle = hatchPattern(c); c.fill("evenodd"); c.globalAlpha = 1;
+    c.fill("evenodd");
   } else {
     c.fillStyle = palette.ink; c.fillText(wall.shape + ": not drawn in this plane", f.toX(v[0]) + 12, f.toY(v[1]) + 4);
   }
@@ -130,12 +149,13 @@ function drawWall(c, f, w, h, size, wall, index) {
     // The wall's name, on the solid side: for a plane next to its point, away from its handle and from the legend; for
     // a hole above it.
     const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
-    const spots = (line ? [100, -170, -45, 45] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
-    const [X, Y] = spots.find(([x, y]) => x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
+    const spots = (line ? [100, -170, -45, 45, 220] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
+    const clear = (x, y) => view.last.geometry.bars.every(([a, b]) => [0, .25, .5, .75, 1].every(t => Math.hypot(f.toX(a[0] + t * (b[0] - a[0])) - x, f.toY(a[1] + t * (b[1] - a[1])) - y) > 3 * size));
+    const [X, Y] = spots.find(([x, y]) => clear(x, y) && x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
     c.save(); c.font = `700 ${1.25 * size}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
     c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.strokeText("WALL", X, Y); c.fillText("WALL", X, Y); c.restore();
   }
-  if (paper) return;
+  if (paper || !document.body.classList.contains("more")) return;
   const [x, y] = wallHandle(wall);
   c.fillStyle = palette.card; c.strokeStyle = palette.hatch; c.lineWidth = 2;
   c.beginPath(); c.arc(f.toX(x), f.toY(y), 7, 0, 2 * Math.PI); c.fill(); c.stroke();
@@ -162,20 +182,24 @@ function drawStage() {
   view.walls.forEach((wall, index) => drawWall(c, f, w, h, size, wall, index));
   drawGlow(c, f, g);
   drawSprings(c, f, w, h, g);
-  c.strokeStyle = palette.trail; c.lineWidth = 1.5; c.globalAlpha = .55; c.beginPath();
-  view.trail.map(fromTask).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
-  if (g.ellipse && view.hello.flat) {
+  const expert = document.body.classList.contains("more");
+  c.strokeStyle = palette.dim; c.lineWidth = 1.5; c.beginPath();
+  if (expert) view.trail.map(fromTask).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke();
+  const ellipse = expert && g.ellipse && view.hello.flat;
+  if (ellipse) {
     // A kilogram is drawn as 12 cm.
     const grow = 0.12 * (view.close ? .1 : 1) * f.scale;
-    c.strokeStyle = palette.ellipse; c.lineWidth = 1.5; c.setLineDash([5, 3]); c.beginPath();
+    c.strokeStyle = palette.ink; c.lineWidth = 1.5; c.setLineDash([5, 3]); c.beginPath();
     c.ellipse(f.toX(g.tip[0]), f.toY(g.tip[1]), g.ellipse.axes[0] * grow, Math.max(0, g.ellipse.axes[1]) * grow, -g.ellipse.angle, 0, 2 * Math.PI); c.stroke(); c.setLineDash([]);
   }
   c.strokeStyle = palette.link; c.lineWidth = Math.max(4, Math.min(10, .006 * f.scale)); c.globalAlpha = .85;
+  drawMotion(c, f, g);
   for (const [from, to] of g.bars) { c.beginPath(); c.moveTo(f.toX(from[0]), f.toY(from[1])); c.lineTo(f.toX(to[0]), f.toY(to[1])); c.stroke(); }
   c.globalAlpha = 1; c.lineWidth = 2;
   for (const [x, y] of [...g.base, ...g.bars.map(bar => bar[1])]) { c.fillStyle = palette.card; c.beginPath(); c.arc(f.toX(x), f.toY(y), 5, 0, 2 * Math.PI); c.fill(); c.stroke(); }
   const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])];
   const hand = view.last.hand;
+  if (railed()) { c.strokeStyle = palette.hand; c.lineWidth = 1; c.beginPath(); for (const along of [RAIL.before, -RAIL.most]) { const [rx, ry] = wallPlace(along); c.lineTo(f.toX(rx), f.toY(ry)); } c.stroke(); }
   if (hand) {
     const [goal, at] = [fromTask(hand.goal), fromTask(hand.at)];
     c.strokeStyle = palette.hand; c.fillStyle = palette.hand; c.lineWidth = 2;
@@ -183,16 +207,18 @@ function drawStage() {
     c.beginPath(); c.arc(f.toX(goal[0]), f.toY(goal[1]), 6, 0, 2 * Math.PI); c.fill();
     c.globalAlpha = .35; c.beginPath(); c.arc(f.toX(at[0]), f.toY(at[1]), 13, 0, 2 * Math.PI); c.fill(); c.globalAlpha = 1;
   }
-  c.fillStyle = palette.tip; c.beginPath(); c.arc(x, y, 6, 0, 2 * Math.PI); c.fill();
+  c.fillStyle = palette.ink; c.beginPath(); c.arc(x, y, 6, 0, 2 * Math.PI); c.fill();
   c.strokeStyle = c.fillStyle = palette.force; c.lineWidth = 3;
-  // A newton is drawn as 12 pixels.
-  arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
-  drawLens(c, w, h, size);
+  // A newton is drawn as 12 pixels, at most a third of the picture.
+  const newton = 12 * Math.min(1, Math.min(w, h) / 36 / Math.hypot(...g.force));
+  arrow(c, x, y, g.force[0] * newton, -g.force[1] * newton);
+  drawSlow(c, w, h, size, f, g);
+  // Scale and legend.
   const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
   c.fillText(bar * 1000 + " mm", 12, h - 18);
   let top = 16;
-  const legend = [["force", "force of the motors"], ["hand", hand ? "hand, " + unit(Math.hypot(...hand.force), "N") : ""], ["ellipse", g.ellipse && view.hello.flat ? "effective inertia" : ""],
+  const legend = [["force", "force of the motors"], ["link", view.fast ? "motion of the tip, ×100" : ""], ["hand", hand ? "hand, " + unit(Math.hypot(...hand.force), "N") : ""], ["ink", ellipse ? "effective inertia" : ""],
     ["spring", view.springs.length ? "spring, " + view.springs.map(s => unit(s.stiffness, "N/m")).join(", ") : ""], ["dim", view.field > 0 ? "damping everywhere, " + unit(view.field, "N s/m") : ""]].filter(([, words]) => words);
   const high = 1.35 * size;
   c.fillStyle = palette.card; c.globalAlpha = .8; c.fillRect(2, 2, Math.max(...legend.map(([, words]) => c.measureText("● " + words).width)) + 12, legend.length * high + 6); c.globalAlpha = 1;
@@ -200,27 +226,6 @@ function drawStage() {
     c.fillStyle = palette[name]; c.fillText("●", 8, top);
     c.fillStyle = palette.ink; c.fillText(words, 8 + c.measureText("● ").width, top); top += high;
   }
-}
-// Power (W) above which a wall glows at the tip; the glow is full at a hundred times as much.
-const GLOWS = 2e-3;
-function drawGlow(c, f, g) {
-  const power = view.last.state === "Armed" ? view.last.numbers.power : 0;
-  if (!(power > GLOWS) || paper) return;
-  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], light = c.createRadialGradient(x, y, 6, x, y, 70);
-  light.addColorStop(0, palette.force); light.addColorStop(1, "transparent");
-  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 70, 0, 2 * Math.PI); c.fill(); c.restore();
-}
-// Magnifies the tip's last positions about their mean, because a buzz of a tenth of a millimetre is less than a pixel
-// on the stage. LENS: width of the magnified area, m.
-const LENS = 1e-3;
-function drawLens(c, w, h, size) {
-  const path = view.recent.flat().map(fromTask); if (path.length < 2) return;
-  const r = Math.min(5.5 * size, h / 5, w / 8), [x0, y0] = [w - r - 8, h - r - 8 - 1.6 * size], middle = [0, 1].map(i => path.reduce((sum, at) => sum + at[i], 0) / path.length), scale = 2 * r / LENS;
-  c.save(); c.fillStyle = palette.card; c.strokeStyle = palette.line; c.lineWidth = 1.5; c.beginPath(); c.arc(x0, y0, r, 0, 2 * Math.PI); c.fill(); c.stroke();
-  c.save(); c.clip(); c.strokeStyle = view.buzz ? palette.force : palette.trail; c.lineWidth = 1.5; c.beginPath();
-  path.forEach(([x, y], i) => { const at = [x0 + (x - middle[0]) * scale, y0 - (y - middle[1]) * scale]; i ? c.lineTo(...at) : c.moveTo(...at); }); c.stroke(); c.restore();
-  const words = view.buzz ? `buzz, ${digits(view.last.numbers.ripple, 2)} N, ${digits(view.buzz, 2)} Hz` : "the tip, 1 mm across";
-  c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.textAlign = "right"; c.lineWidth = 3; c.strokeText(words, w - 8, h - 8); c.fillText(words, w - 8, h - 8); c.restore();
 }
 let lastSent = 0, grabbed = null;
 function sayThrottled(message) { const now = performance.now(); if (now - lastSent > 15) { lastSent = now; say(message); } }
@@ -244,7 +249,7 @@ $("stage").onpointerdown = event => {
 function moved(event, last) {
   if (!grabbed) return;
   const at = view.frame.from(...placeOf(event));
-  if (grabbed.hand) { const message = { do: "hand", at: toTask(at) }; last ? say(message) : sayThrottled(message); return; }
+  if (grabbed.hand) return lead(at, last);
   const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : toTask([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]]) };
   if (grabbed.from) message.normal = [at[0] - grabbed.from[0], at[1] - grabbed.from[1]];
   last ? say(message) : sayThrottled(message);
@@ -252,15 +257,20 @@ function moved(event, last) {
 $("stage").onpointermove = event => moved(event);
 $("stage").onpointerup = event => { moved(event, true); grabbed = null; };
 $("stage").onpointercancel = () => { grabbed = null; };
-// Each press moves the hand by 2 mm.
+// Two millimetres a press; on the rail, out of the wall at once.
 $("stage").onkeydown = event => {
   const step = { ArrowUp: [0, 2e-3], ArrowDown: [0, -2e-3], ArrowRight: [2e-3, 0], ArrowLeft: [-2e-3, 0] }[event.key];
   if (!step || !view.last || !view.hello?.simulated) return;
   event.preventDefault();
-  const at = view.last.hand ? fromTask(view.last.hand.goal) : view.last.geometry.tip;
-  say({ do: "hand", at: toTask([at[0] + step[0], at[1] + step[1]]) });
+  const at = view.last.hand ? fromTask(view.last.hand.goal) : view.last.geometry.tip, out = railed() && step[0] * view.walls[0].outline.normal[0] + step[1] * view.walls[0].outline.normal[1] > 0;
+  lead(out ? wallPlace(RAIL.before) : [at[0] + step[0], at[1] + step[1]]);
 };
-$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); resetComparison(); coached = buzzed = false; steps = 0; if (view.close) $("close").onclick(); };
+// A new start runs by itself again.
+$("start-over").onclick = $("anew").onclick = () => {
+  up(); notice(""); $("beyond").checked = touched = stopped = false; switched = null; armAfter = 0;
+  if (view.hello.rate_hz !== view.firstRate) say({ do: "rate", hz: view.firstRate });
+  say({ do: "start-over" }); resetComparison(); if (view.close) $("close").onclick();
+};
 $("let-go").onclick = () => say({ do: "hand", at: null });
 $("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
 

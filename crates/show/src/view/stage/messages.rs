@@ -6,7 +6,7 @@ use crate::outline::{outline, outline_on_arc};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
 use crate::view::stability::{Plane, PredictionRequest, predict_buzz};
-use crate::view::world::hand_settings;
+use crate::view::world::{World, hand_settings};
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::fault::FaultRecord;
@@ -170,16 +170,15 @@ impl Stage {
     /// Returns the message with the facts that do not change during a view.
     pub(super) fn hello_message(&self) -> Value {
         let info = self.world.board.info();
-        let hand = hand_settings();
         json!({
             "is": "hello",
-            "tool": env!("CARGO_PKG_VERSION"),
             "device": self.device.name.as_str(),
             "scene": self.world.scene_name,
             "board": info.board.as_str(),
             "serial": info.serial.as_str(),
             "port": self.world.board.port(),
             "simulated": self.world.simulated.is_some(),
+            "worlds": World::names().collect::<Vec<_>>(),
             "records": self.folder.is_some(),
             "weightless": self.world.weightless, "smooth": self.world.smooth,
             "flat": self.device.mechanism.kind().spec().task == 2,
@@ -188,10 +187,6 @@ impl Stage {
             "rows_hz": self.rows_hz,
             "cutoff_hz": self.scene.cutoff_hz,
             "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
-            "hand": {
-                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
-                "arm": [hand.arm_stiffness, hand.arm_damping],
-            },
         })
     }
 
@@ -206,7 +201,7 @@ impl Stage {
             json!({
                 "shape": wall.surface.spec().name, "values": wall.surface.values(),
                 "outline": wall_outline(&wall.surface), "stiffness": wall.stiffness,
-                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
+                "damping": wall.damping, "feed_forward": wall.feed_forward,
             })
         });
         let springs = self.scene.springs.iter().map(|spring| {
