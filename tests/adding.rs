@@ -1,5 +1,5 @@
 //! Checks the table "Adding things" of docs/architecture.md. Every file that a row names must exist. For every row but
-//! "straight step" a test adds a toy through the shipped table or trait. If a row omits a place, that test does not
+//! "straight step" a test adds a toy through the shipped table or trait. If a row omits a file, its test does not
 //! compile.
 
 use std::path::Path;

@@ -16,7 +16,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
     for direction in 0..24 {
         let a = direction as f32 * 0.2618;
-        let mut probe = Board::ready(false, &device, &scene(2, &[]));
+        let mut probe = Board::with_device(false, &device, &scene(2, &[]));
         probe.ask::<Home>(&()).unwrap().unwrap();
         probe.tick();
         let at = probe.machine.control_loop.status();
@@ -28,12 +28,12 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
             feed_forward: FeedForward::Full,
             ..rig::wall(0.0, 1_000.0)
         });
-        let mut board = Board::ready(false, &device, &scene(2, &walls));
+        let mut board = Board::with_device(false, &device, &scene(2, &walls));
         let limits = Limits { torque: [0.3; 3], current: [3.0; 3], tip_force: 5.0, ..Limits::default() };
         let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
         board.ask::<SetRules>(&gentle).unwrap().unwrap();
         board.ask::<Home>(&()).unwrap().unwrap();
-        // 1e-3 kg m² on the diagonal and -3e-3 off it: the determinant is -8e-6.
+        // The matrix has 1e-3 kg m² on the diagonal and -3e-3 kg m² beside it, so its determinant is negative.
         let mass = MassModelData::Frozen([1e-3, -3e-3, 1e-3, 0.0, 0.0, 0.0]);
         if board.ask::<SetMassModel>(&mass).unwrap().is_err() {
             return;
@@ -80,7 +80,7 @@ fn restart(board: &mut Board) -> Board {
 
 #[test]
 fn limits_restored_alone_do_not_move_to_another_device() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board
         .ask::<SetRules>(&Rules {
             limits: Limits { torque: [0.1; 3], tip_force: 5.0, ..Limits::default() },
@@ -107,7 +107,7 @@ fn limits_restored_alone_do_not_move_to_another_device() {
 
 #[test]
 fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     stage(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
@@ -119,7 +119,7 @@ fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
 
 #[test]
 fn a_device_restored_alone_is_the_same_after_a_restart() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     let mut other = five_bar();
@@ -135,7 +135,7 @@ fn a_device_restored_alone_is_the_same_after_a_restart() {
 fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     let mut rules = rules();
     rules.limits.tip_force = tip_force;
-    let mut rig = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules);
+    let mut rig = Rig::new(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules);
     rig.arm();
     rig
 }
@@ -164,7 +164,7 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     rig.control_loop.force(&ForceRequest { sequence: 3, ..renewed });
     rig.step();
     let now = force_x(&mut rig);
-    assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
+    assert!(now >= before && now - before <= 0.4, "the force jumps from {before} to {now} N");
 }
 
 #[test]
@@ -199,13 +199,13 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     assert_eq!(rig.control_loop.force(&ForceRequest { sequence: 2, seen, ..request }).done, ForceDone::Taken);
     rig.step();
     let now = force_x(&mut rig);
-    assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
+    assert!((now - before).abs() < 0.3, "the force jumps from {before} to {now} N in 50 us");
 }
 
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
-    // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
+    // The tip is 1 mm outside a stiff plane (0 N), then 100 mm inside a soft plane (1 N).
     let stiff = contact_request(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
     let soft = contact_request(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
     rig.control_loop.force(&stiff);
@@ -214,7 +214,7 @@ fn a_contact_between_two_planes_pushes_no_more_than_either() {
     for step in 0..600 {
         rig.step();
         let now = force_x(&mut rig);
-        assert!(now <= 1.05, "{now} N at step {step}");
+        assert!(now <= 1.05, "a force of {now} N at step {step}");
     }
 }
 
@@ -236,7 +236,7 @@ fn the_age_of_a_force_is_right_after_a_change_of_rate() {
         ..ForceRequest::default()
     };
     let answer = rig.control_loop.force(&request);
-    assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
+    assert_eq!(answer.done, ForceDone::TooOld, "the force is one second old, but its age is {:?} s", answer.age);
 }
 
 #[test]
@@ -248,13 +248,13 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     let joints = [five_bar().joints[0]; 3];
     let arm = Description { kind: Kind::Serial3r, geometry, joints, home: Some([0.3, 0.6, 0.5]), ..five_bar() };
     let posture = Some(Posture { orientation: 0.5, stiffness: 0.1, damping: 0.0 });
-    let mut board = Board::ready(false, &rig::device(&arm), &Scene { posture, ..scene(2, &[]) });
+    let mut board = Board::with_device(false, &rig::device(&arm), &Scene { posture, ..scene(2, &[]) });
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.reported_fault = Some((Fault::GateDriver, None, 1.0));
     board.tick();
     board.ask::<Save>(&()).unwrap().unwrap();

@@ -19,19 +19,19 @@ fn gains_command(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Com
 
 #[test]
 fn motors_stay_off_without_a_device() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.step();
-    assert!(rig.motors_off());
+    assert!(rig.motors_are_off());
     for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains_command(1.0, 0.0, FeedForward::Off)] {
         assert_eq!(rig.execute(command), Err(Refusal::NoDevice));
     }
     rig.run(0.1);
-    assert!(rig.motors_off());
+    assert!(rig.motors_are_off());
 }
 
 #[test]
 fn a_device_that_is_not_homed_is_not_armed() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.load(&paddle(), &scene(1, &[]), false).unwrap();
     rig.settle();
     rig.execute(Command::PolarityKnown).unwrap();
@@ -44,13 +44,13 @@ fn a_device_that_is_not_homed_is_not_armed() {
 fn a_motor_without_an_inductance_is_not_armed() {
     let mut description = paddle();
     description.joints[0].motor.as_mut().unwrap().inductance = 0.0;
-    let mut rig = Rig::with(&description, &scene(1, &[]), hardware(), rules());
+    let mut rig = Rig::new(&description, &scene(1, &[]), hardware(), rules());
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::MotorNotVerified(0)));
 }
 
 #[test]
 fn a_device_whose_polarity_is_unknown_is_not_armed() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.load(&paddle(), &scene(1, &[]), false).unwrap();
     rig.settle();
     rig.execute(Command::Home).unwrap();
@@ -75,7 +75,7 @@ fn a_device_with_an_incomplete_file_is_not_armed() {
         (homeless, Refusal::NoHome),
     ];
     for (description, refusal) in cases {
-        let mut rig = Rig::bare(hardware(), rules());
+        let mut rig = Rig::without_device(hardware(), rules());
         rig.load(&description, &scene(1, &[]), false).unwrap();
         rig.settle();
         let _ = rig.execute(Command::Home);
@@ -89,18 +89,18 @@ fn a_device_with_an_incomplete_file_is_not_armed() {
 fn a_device_without_encoder_or_with_too_many_joints_is_refused() {
     let mut blind = paddle();
     blind.joints[0].encoder = None;
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     assert_eq!(rig.load(&blind, &scene(1, &[]), false), Err(Refusal::BadDevice));
     let mut one_axis = hardware();
     one_axis.axes = 1;
-    let mut rig = Rig::bare(one_axis, rules());
+    let mut rig = Rig::without_device(one_axis, rules());
     let refusal = Refusal::TooManyJoints { joints: 2, axes: 1 };
     assert_eq!(rig.load(&five_bar(), &scene(2, &[]), false), Err(refusal));
 }
 
 #[test]
 fn arming_is_refused_in_walls_outside_limits_and_without_supply() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.turn(0, -0.6, 5.0);
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::InsideWall));
     rig.turn(0, 1.1, 5.0);
@@ -118,13 +118,13 @@ fn arming_is_refused_in_walls_outside_limits_and_without_supply() {
 fn a_bilateral_wall_does_not_prevent_arming() {
     let mut both = wall(0.05, 100.0);
     both.bilateral = true;
-    let mut rig = Rig::ready(&scene(1, &[both]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[both]));
     assert_eq!(rig.execute(Command::Arm), Ok(()));
 }
 
 #[test]
 fn arming_is_refused_at_a_singular_pose() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     let mut angle = 0.0;
     while rig.execute(Command::Arm).is_ok() && angle < 1.0 {
         rig.execute(Command::Disarm).unwrap();
@@ -139,7 +139,7 @@ fn arming_is_refused_at_a_singular_pose() {
 
 #[test]
 fn a_device_in_motion_is_not_homed() {
-    let mut rig = Rig::ready(&scene(1, &[]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[]));
     rig.turn(0, 0.1, 2.0);
     assert_eq!(rig.execute(Command::Home), Err(Refusal::Moving));
     rig.settle();
@@ -148,7 +148,7 @@ fn a_device_in_motion_is_not_homed() {
 
 #[test]
 fn homing_declares_the_pose_of_the_device_file() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
     rig.samples.counts = Counts([12_345, -54_321, 0]);
     rig.settle();
@@ -162,7 +162,7 @@ fn homing_declares_the_pose_of_the_device_file() {
 #[test]
 fn torque_rises_from_zero_after_arming() {
     // The spring makes its full torque from the first step on.
-    let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
+    let mut rig = Rig::homed_paddle(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.execute(Command::Arm).unwrap();
     let full_torque = 100.0 * 0.02 * 0.1;
     let mut last = 0.0;
@@ -170,7 +170,7 @@ fn torque_rises_from_zero_after_arming() {
         rig.step();
         let torque = rig.torques()[0];
         let expected = full_torque * step as f32 / (ARM_SECONDS * RATE_HZ);
-        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: {torque} for {expected}");
+        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: torque {torque}, not {expected}");
         assert!(torque >= last);
         last = torque;
     }
@@ -181,23 +181,23 @@ fn torque_rises_from_zero_after_arming() {
 #[test]
 fn a_new_scene_while_armed_fades_in_and_keeps_homing() {
     let spring_at = |x: f32| spring_scene(1, [x, 0.0, 0.0], 100.0);
-    let mut rig = Rig::ready(&spring_at(0.02));
+    let mut rig = Rig::homed_paddle(&spring_at(0.02));
     rig.arm();
     let before = rig.torques()[0];
     rig.load(&paddle(), &spring_at(-0.02), true).unwrap();
     rig.step();
     let after = rig.torques()[0];
-    assert!((after - before).abs() < 0.01 * before.abs(), "{before} to {after}");
+    assert!((after - before).abs() < 0.01 * before.abs(), "the torque jumps from {before} to {after} N m");
     rig.run(0.6);
     let settled = rig.torques()[0];
-    assert!((settled + before).abs() < 1.0e-4, "{settled}");
+    assert!((settled + before).abs() < 1.0e-4, "the settled torque is {settled} N m");
     let status = rig.control_loop.status();
     assert_eq!((status.state, status.homed, status.polarity), (State::Armed, true, true));
 }
 
 #[test]
 fn a_touched_scene_or_another_rate_is_refused_while_armed() {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::armed_paddle();
     assert_eq!(rig.load(&paddle(), &scene(1, &[wall(0.01, 10.0)]), true), Err(Refusal::InsideWall));
     let mut faster = scene(1, &[]);
     faster.rate_hz = 2.0 * RATE_HZ;
@@ -208,7 +208,7 @@ fn a_touched_scene_or_another_rate_is_refused_while_armed() {
 
 #[test]
 fn another_device_loses_homing_and_polarity() {
-    let mut rig = Rig::ready(&scene(1, &[]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[]));
     rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
     let status = rig.control_loop.status();
     assert!(!status.homed && !status.polarity);
@@ -231,10 +231,10 @@ fn limits_are_raised_only_while_off_and_lowered_at_any_time() {
             change(&mut limits, by);
             Command::Rules(Rules { limits, ..rules() })
         };
-        let mut rig = Rig::armed();
+        let mut rig = Rig::armed_paddle();
         assert_eq!(rig.execute(changed(1.01)), Err(Refusal::Armed), "{name}");
         assert_eq!(rig.execute(changed(0.99)), Ok(()), "{name}");
-        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: raised again");
+        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: the limit was raised again");
         rig.execute(Command::Disarm).unwrap();
         assert_eq!(rig.execute(changed(1.0)), Ok(()), "{name}");
     }
@@ -268,7 +268,7 @@ fn protections_can_only_be_tightened_while_the_motors_are_on() {
         change(&mut rules);
         Command::Rules(rules)
     };
-    let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), watched);
+    let mut rig = Rig::new(&paddle(), &scene(1, &[]), hardware(), watched);
     rig.arm();
     for (name, change) in looser {
         assert_eq!(rig.execute(changed(change)), Err(Refusal::Armed), "{name}");
@@ -289,11 +289,11 @@ fn protections_can_only_be_tightened_while_the_motors_are_on() {
 
 #[test]
 fn limits_can_be_lowered_below_the_continuous_current() {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::armed_paddle();
     let mut lower = rules();
     lower.limits.current[0] = 0.5 * lower.limits.continuous_current[0];
     rig.execute(Command::Rules(lower)).unwrap();
-    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same rules again");
+    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same rules are refused");
     lower.limits.power *= 0.5;
     assert_eq!(rig.execute(Command::Rules(lower)), Ok(()));
     lower.limits.continuous_current[0] *= 1.01;
@@ -311,7 +311,7 @@ fn a_lowered_limit_acts_at_the_next_step() {
         ("the smallest torque", |limits| limits.torque[0] = f32::MIN_POSITIVE, 0.0),
     ];
     for (name, change, expected) in changes {
-        let mut rig = Rig::pressing(250.0);
+        let mut rig = Rig::pressed_paddle(250.0);
         assert!((rig.torques()[0] - 0.25).abs() < 0.01);
         let mut lower = rules();
         change(&mut lower.limits);
@@ -323,7 +323,7 @@ fn a_lowered_limit_acts_at_the_next_step() {
 
 #[test]
 fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
-    let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
+    let mut rig = Rig::homed_paddle(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.arm();
     // The spring makes 2 N at an arm of 0.1 m, so 0.2 N m.
     assert!((rig.torques()[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.torques());
@@ -344,7 +344,7 @@ fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
 
 #[test]
 fn gains_changed_in_contact_cause_no_other_change_of_torque() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.005, 100.0)]));
     rig.arm();
     rig.turn(0, -0.1, 1.0);
     rig.settle();
@@ -354,7 +354,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
         let torque = rig.torques()[0];
-        assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
+        assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque}, not {expected} N m");
     }
     // Damping makes no force at rest.
     let before = rig.torques()[0];
@@ -366,30 +366,30 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
 #[test]
 fn invalid_gains_turn_the_motors_off() {
     for stiffness in [f32::NAN, f32::INFINITY] {
-        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
+        let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.005, 100.0)]));
         rig.arm();
         rig.turn(0, -0.1, 1.0);
         rig.execute(gains_command(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
-        assert!(rig.motors_off());
+        assert!(rig.motors_are_off());
         assert_eq!(rig.fault(), Some(Fault::NotFinite));
     }
 }
 
 #[test]
 fn disarming_acts_before_the_next_duty() {
-    let mut rig = Rig::pressing(250.0);
+    let mut rig = Rig::pressed_paddle(250.0);
     assert!(rig.duties[0] != 0.0);
     rig.execute(Command::Disarm).unwrap();
     assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     rig.step();
-    assert!(rig.motors_off());
+    assert!(rig.motors_are_off());
     assert_eq!(rig.state(), State::Disarmed);
 }
 
 #[test]
 fn a_reported_fault_acts_before_the_next_duty() {
-    let mut rig = Rig::pressing(250.0);
+    let mut rig = Rig::pressed_paddle(250.0);
     rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
     assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     assert_eq!(rig.state(), State::Fault);
@@ -397,26 +397,26 @@ fn a_reported_fault_acts_before_the_next_duty() {
 
 #[test]
 fn the_polarity_check_moves_each_joint_and_ends_disarmed() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
-    let mut body = rig::Body::of(&five_bar());
+    let mut body = rig::Body::new(&five_bar());
     let mut pushed = [false; 2];
     while rig.state() == State::CheckingPolarity {
         body.step(&mut rig, 1.0);
         let torque = rig.torques();
-        assert!(torque[0] == 0.0 || torque[1] == 0.0, "one joint at a time: {torque:?}");
-        assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "a small torque: {torque:?}");
+        assert!(torque[0] == 0.0 || torque[1] == 0.0, "two joints have a torque: {torque:?}");
+        assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "the torque is too large: {torque:?}");
         pushed[usize::from(torque[1] != 0.0)] = true;
     }
     assert_eq!((rig.state(), rig.fault(), pushed), (State::Disarmed, None, [true; 2]));
-    assert!(rig.motors_off() && rig.control_loop.status().polarity);
+    assert!(rig.motors_are_off() && rig.control_loop.status().polarity);
 }
 
 #[test]
 fn the_polarity_check_waits_for_a_gliding_joint() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
-    let mut body = rig::Body::of(&five_bar());
+    let mut body = rig::Body::new(&five_bar());
     body.run_first_joint_check(&mut rig);
     // The joint glides backwards for 1.5 s, like a device almost without friction.
     for _ in 0..(1.5 * rig.rate) as u32 {
@@ -433,10 +433,10 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
 #[test]
 fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
     for (joint, speed) in [(0, 0.012), (0, 0.15), (1, 0.012), (1, 0.15)] {
-        let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+        let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
         rig.execute(Command::CheckPolarity).unwrap();
         if joint == 1 {
-            rig::Body::of(&five_bar()).run_first_joint_check(&mut rig);
+            rig::Body::new(&five_bar()).run_first_joint_check(&mut rig);
         }
         let counts = rig.samples.counts[joint];
         let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS_PER_TURN;
@@ -446,14 +446,14 @@ fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
             assert_eq!(rig.torques(), Torques::default(), "a joint that a hand moves must get no torque");
         }
         assert_eq!(rig.fault(), Some(Fault::PolarityUnrest), "joint {joint} at {speed} rad/s");
-        assert!(!rig.control_loop.status().polarity && rig.motors_off());
+        assert!(!rig.control_loop.status().polarity && rig.motors_are_off());
     }
 }
 
 #[test]
 fn the_polarity_check_keeps_the_tip_force_limit_after_homing() {
     let gentle = Rules { limits: Limits { tip_force: 0.2, ..limits() }, ..rules() };
-    let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
+    let mut rig = Rig::new(&paddle(), &scene(1, &[]), hardware(), gentle);
     rig.turn(0, 0.5, 1.0);
     rig.settle();
     // Homing changes the angle by 0.5 rad before the next step.
@@ -469,7 +469,7 @@ fn the_polarity_check_keeps_the_tip_force_limit_after_homing() {
 
 #[test]
 fn homing_elsewhere_requires_the_polarity_check_again() {
-    let mut rig = Rig::ready(&scene(1, &[]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[]));
     let at_home = rig.samples.counts;
     let mut home_at = |angle: f64| {
         rig.turn(0, angle, 1.0);
@@ -487,10 +487,10 @@ fn homing_elsewhere_requires_the_polarity_check_again() {
 
 #[test]
 fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
-    let mut rig = Rig::ready(&scene(1, &[]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();
     assert!(!rig.control_loop.status().polarity, "a new check discards the earlier result");
-    let mut body = rig::Body::of(&paddle());
+    let mut body = rig::Body::new(&paddle());
     body.run_check(&mut rig, -1.0);
     assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
     rig.execute(Command::Clear).unwrap();
@@ -504,7 +504,7 @@ fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
 #[test]
 fn the_polarity_check_starts_with_a_cleared_power_mean() {
     // The mean power of the earlier run must not count in the check.
-    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
     rig.arm();
@@ -520,9 +520,9 @@ fn the_polarity_check_starts_with_a_cleared_power_mean() {
 #[test]
 fn commands_in_any_order_never_move_a_disarmed_device() {
     use proptest::prelude::*;
-    let command = (0_u8..10, any::<f32>());
-    proptest!(crate::common::cases(200), |(script in proptest::collection::vec((command, -50_i32..50), 1..60))| {
-        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    let scripts = proptest::collection::vec(((0_u8..10, any::<f32>()), -50_i32..50), 1..60);
+    proptest!(crate::common::property_config(200), |(script in scripts)| {
+        let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.005, 250.0)]));
         let mut armed = false;
         for ((which, number), moved) in script {
             let press = Press { holder: number.to_bits() & 1, seen: rig.control_loop.steps().wrapping_sub(number.to_bits() >> 22) };
@@ -545,7 +545,7 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
             rig.samples.counts[0] += moved;
             rig.step();
             armed &= rig.state() == State::Armed;
-            prop_assert!(armed || rig.motors_off());
+            prop_assert!(armed || rig.motors_are_off());
             prop_assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
             prop_assert!(rig.torques()[0].abs() <= 0.3 * 1.000_01);
         }

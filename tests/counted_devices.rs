@@ -28,7 +28,7 @@ fn the_counted_devices_are_the_shipped_devices() {
         ("serial-3r", devices::SERIAL_3R),
     ];
     for (name, counted) in counted {
-        let shipped = device_file::shipped(name);
+        let shipped = device_file::shipped_device(name);
         let numbers = |of: &Description| {
             let links = of
                 .links

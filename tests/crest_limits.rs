@@ -17,7 +17,7 @@ use haptic_bridge::safety::limits::Limits;
 
 #[test]
 fn limits_hold_for_any_commanded_torque() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 1.0e9)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.005, 1.0e9)]));
     rig.arm();
     let bound = limits().torque[0] * 1.000_01;
     for angle in [-0.1, -0.5, -0.9, 0.2] {
@@ -28,13 +28,13 @@ fn limits_hold_for_any_commanded_torque() {
 }
 
 fn armed_paddle_at(rate: f32) -> Rig {
-    let mut rig = Rig::ready(&at_rate(rate, far_wall()));
+    let mut rig = Rig::homed_paddle(&at_rate(rate, far_wall()));
     rig.arm();
     rig
 }
 
 /// Turns joint 0 at `speed` (rad/s) for at most `max_periods` carrier periods. Returns the period in which the
-/// bridges float, or `None` if they stay on. `shown` are the measured currents, A.
+/// bridges float, or `None` if they stay on. `shown` holds the measured currents, A.
 fn crests_until_off(rig: &mut Rig, speed: f64, max_periods: u32, shown: [f32; 3]) -> Option<u32> {
     let start = rig.samples.counts[0];
     (1..=max_periods).find(|nth| {
@@ -77,24 +77,24 @@ fn no_scene_filter_delays_or_disables_the_speed_limit() {
     for (kind, cutoff) in
         [(Estimator::Butterworth, 1.0e-6), (Estimator::FirstOrder, 1.0), (Estimator::Butterworth, 900.0)]
     {
-        let mut rig = Rig::armed();
+        let mut rig = Rig::armed_paddle();
         let coefficients = Coefficients::new(kind, RATE_HZ, cutoff).unwrap();
         rig.execute(Command::Coefficients(coefficients)).unwrap();
         rig.turn(0, 0.5, 30.0);
         assert_eq!(rig.fault(), Some(Fault::SpeedLimit), "{kind:?} {cutoff} Hz");
         let travel = rig.control_loop.status().q[0];
-        assert!(travel < 0.1, "{kind:?} {cutoff} Hz: {travel} rad");
+        assert!(travel < 0.1, "{kind:?} {cutoff} Hz: a travel of {travel} rad");
     }
 }
 
 #[test]
 fn a_coarse_encoder_moves_a_few_counts_before_a_speed_limit() {
-    // With 400 counts per turn, one count in a carrier period is 314 rad/s. At 15 rad/s, below the limit of 20 rad/s, a
-    // count takes 1 ms.
+    // At 400 counts per turn, one count in a carrier period is 314 rad/s. At 15 rad/s, below the limit, a count takes 1
+    // ms.
     let mut coarse = paddle();
     coarse.joints[0].encoder.as_mut().unwrap().counts_per_turn = 400.0;
     let run = |speed: f64| {
-        let mut rig = Rig::with(&coarse, &far_wall(), hardware(), rules());
+        let mut rig = Rig::new(&coarse, &far_wall(), hardware(), rules());
         rig.arm();
         let counts =
             |nth: u32| Counts([(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0]);
@@ -106,7 +106,7 @@ fn a_coarse_encoder_moves_a_few_counts_before_a_speed_limit() {
     assert_eq!(run(15.0), (None, None));
     let (travel, fault) = run(40.0);
     assert_eq!(fault, Some(Fault::SpeedLimit));
-    assert!(travel.is_some_and(|counts| counts <= 6), "{travel:?} counts");
+    assert!(travel.is_some_and(|counts| counts <= 6), "a travel of {travel:?} counts");
 }
 
 #[test]
@@ -114,7 +114,7 @@ fn a_joint_limit_holds_at_any_distance_of_the_other_limit() {
     for low in [-1.0, -5.0e4, -1.0e6, -1.0e30, f64::NEG_INFINITY] {
         let mut device = paddle();
         device.joints[0].limits = Some((low, 0.1));
-        let mut rig = Rig::with(&device, &scene(1, &[]), hardware(), rules());
+        let mut rig = Rig::new(&device, &scene(1, &[]), hardware(), rules());
         rig.arm();
         rig.turn(0, 0.5, 1.0);
         assert_eq!(rig.fault(), Some(Fault::JointLimit), "{low}");
@@ -123,7 +123,7 @@ fn a_joint_limit_holds_at_any_distance_of_the_other_limit() {
 
 #[test]
 fn repeated_clearing_does_not_lift_a_limit() {
-    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
     rig.arm();
@@ -141,7 +141,7 @@ fn repeated_clearing_does_not_lift_a_limit() {
 #[test]
 fn the_power_limit_counts_the_motors_power_not_the_scenes() {
     // The wall requests a thousand times the torque limit. At 3 rad/s the motor's power is 0.9 W of the allowed 2 W.
-    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
     rig.arm();
@@ -151,8 +151,7 @@ fn the_power_limit_counts_the_motors_power_not_the_scenes() {
 }
 
 /// Two cranks with 706 counts per turn move towards the stretched pose of a five-bar. Near that pose each count raises
-/// the tip force of the same torques by up to an eighth. Meanwhile the tip presses into a wall with more than the
-/// limit.
+/// the tip force of the same torques by up to an eighth. The tip presses into a wall beyond the limit.
 #[test]
 fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     const COARSE_COUNTS_PER_TURN: f64 = 705.882;
@@ -169,7 +168,7 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
         ..wall(0.0, 500_000.0)
     };
     let rules = Rules { limits: Limits { tip_force: 5.0, ..limits() }, ..rules() };
-    let mut rig = Rig::with(&coarse, &scene(2, &[beside]), hardware(), rules);
+    let mut rig = Rig::new(&coarse, &scene(2, &[beside]), hardware(), rules);
     let mechanism = AnyMechanism::<f32>::new(&coarse).expect("a sound mechanism");
     let home = rig.samples.counts;
     rig.arm();
@@ -185,15 +184,15 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
         largest_force = largest_force.max(mechanism.leverage::<Libm>(&edge).force_squared(&torque).sqrt());
         rig.samples.counts = now;
         rig.run(0.02);
-        assert_eq!(rig.fault(), None, "after {moved} counts");
+        assert_eq!(rig.fault(), None, "a fault after {moved} counts");
     }
-    assert!(largest_force > 4.8 && largest_force < 5.05, "{largest_force} N");
+    assert!(largest_force > 4.8 && largest_force < 5.05, "the largest force is {largest_force} N");
 }
 
 #[test]
 fn the_force_limit_counts_alternating_currents_in_full() {
     let gentle = Rules { limits: Limits { tip_force: 0.1, ..limits() }, ..rules() };
-    let mut rig = Rig::with(&paddle(), &at_rate(20_000.0, far_wall()), hardware(), gentle);
+    let mut rig = Rig::new(&paddle(), &at_rate(20_000.0, far_wall()), hardware(), gentle);
     rig.arm();
     // A force of 0.2 N alternates for 5 ms, sampled every 50 µs.
     for nth in 0..100 {

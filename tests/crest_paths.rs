@@ -31,7 +31,7 @@ impl Random {
         (self.0 >> 40) as f32 / (1 << 24) as f32
     }
 
-    fn between(&mut self, low: f32, high: f32) -> f32 {
+    fn uniform(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit_number()
     }
 
@@ -65,40 +65,40 @@ fn the_fast_current_loop_equals_the_general_one() {
     for _ in 0..400 {
         let motor = Motor {
             torque_constant: random.choose(&[0.05, -0.02, 0.3, 0.0]),
-            resistance: random.between(0.05, 5.0),
+            resistance: random.uniform(0.05, 5.0),
             inductance: random.choose(&[0.0, 1.0e-5, 2.0e-4, 1.0e-3, 5.0e-3]),
-            back_emf: random.between(-0.1, 0.3),
-            max_current: random.between(0.0, 20.0),
+            back_emf: random.uniform(-0.1, 0.3),
+            max_current: random.uniform(0.0, 20.0),
             verified: true,
         };
         let bridge = Bridge {
-            carrier_hz: random.between(20_000.0, 50_000.0),
-            dead_time: random.between(0.0, 500.0e-9),
-            bandwidth_hz: random.between(100.0, 2_000.0),
+            carrier_hz: random.uniform(20_000.0, 50_000.0),
+            dead_time: random.uniform(0.0, 500.0e-9),
+            bandwidth_hz: random.uniform(100.0, 2_000.0),
             current_sensed: !random.one_chance_in(5.0),
         };
-        let mut axis = Axis::new(&motor, &bridge, random.between(0.0, 15.0));
+        let mut axis = Axis::new(&motor, &bridge, random.uniform(0.0, 15.0));
         let mut current = 0.0;
         for _ in 0..400 {
             if random.one_chance_in(4.0) {
                 if random.one_chance_in(100.0) {
-                    axis.limit(random.between(0.0, 15.0));
+                    axis.limit(random.uniform(0.0, 15.0));
                 }
                 let bound = 1.5 * axis.max_torque();
                 axis.command(if random.one_chance_in(200.0) {
                     random.choose(&INVALID_NUMBERS)
                 } else {
-                    random.between(-bound, bound)
+                    random.uniform(-bound, bound)
                 });
             }
             let is_invalid = random.one_chance_in(300.0);
-            let sample = if is_invalid { random.choose(&INVALID_NUMBERS) } else { current + random.between(-0.1, 0.1) };
+            let sample = if is_invalid { random.choose(&INVALID_NUMBERS) } else { current + random.uniform(-0.1, 0.1) };
             let speed =
-                if random.one_chance_in(300.0) { random.choose(&INVALID_NUMBERS) } else { random.between(-30.0, 30.0) };
+                if random.one_chance_in(300.0) { random.choose(&INVALID_NUMBERS) } else { random.uniform(-30.0, 30.0) };
             let supply = Supply::of(if random.one_chance_in(10.0) {
-                random.between(1.0, 10.0)
+                random.uniform(1.0, 10.0)
             } else {
-                random.between(20.0, 50.0)
+                random.uniform(20.0, 50.0)
             });
             let (mut fast, mut general, late) = (axis, axis, random.one_chance_in(10.0));
             let duty = general.drive(&supply, sample, speed, late);
@@ -236,17 +236,17 @@ enum Disturbance {
     Bus,
     LowBus,
     Imbalance,
-    Jump,
+    CountJump,
     Speed,
-    Range,
+    JointRange,
     Power,
-    Mark,
-    Reported,
+    IndexMark,
+    ReportedFault,
     Push,
     Disarm,
-    Silence,
-    Mismatch,
-    Check,
+    SilentHost,
+    WrongCurrent,
+    PolarityCheck,
     Velocity,
     Stretch,
     Weight,
@@ -258,76 +258,76 @@ const DISTURBANCES: [Disturbance; 19] = [
     Disturbance::Bus,
     Disturbance::LowBus,
     Disturbance::Imbalance,
-    Disturbance::Jump,
+    Disturbance::CountJump,
     Disturbance::Speed,
-    Disturbance::Range,
+    Disturbance::JointRange,
     Disturbance::Power,
-    Disturbance::Mark,
-    Disturbance::Reported,
+    Disturbance::IndexMark,
+    Disturbance::ReportedFault,
     Disturbance::Push,
     Disturbance::Disarm,
-    Disturbance::Silence,
-    Disturbance::Mismatch,
-    Disturbance::Check,
+    Disturbance::SilentHost,
+    Disturbance::WrongCurrent,
+    Disturbance::PolarityCheck,
     Disturbance::Velocity,
     Disturbance::Stretch,
     Disturbance::Weight,
 ];
 
-fn random_scene(description: &Description, trouble: Disturbance, random: &mut Random) -> Scene<f32> {
+fn random_scene(description: &Description, kind: Disturbance, random: &mut Random) -> Scene<f32> {
     let task = if description.kind == Kind::Paddle { 1 } else { 2 };
     // A scene without walls reports the tip position at home.
     let mut bare = BoardPair::new(description, &scene(task, &[]), rig::rules());
     bare.home();
     let tip = bare.control_loops[0].status().tip;
-    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(trouble == Disturbance::Weight)))
+    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(kind == Disturbance::Weight)))
         .map(|_| {
-            let point = [tip[0] + random.between(-0.002, -0.0002), tip[1], 0.0];
+            let point = [tip[0] + random.uniform(-0.002, -0.0002), tip[1], 0.0];
             let feed_forward = random.choose(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
             let surface = Surface::Plane(Plane { point, normal: [1.0, 0.0, 0.0] });
-            let damping = random.between(0.0, 2.0);
+            let damping = random.uniform(0.0, 2.0);
             Wall { surface, feed_forward, damping, ..wall(0.0, random.choose(&[100.0, 1_000.0, 5_000.0])) }
         })
         .collect();
     let velocity_terms = if random.one_chance_in(2.0) { VelocityTerms::default() } else { VelocityTerms::Off };
-    let gravity_compensation = trouble == Disturbance::Weight || random.one_chance_in(2.0);
+    let gravity_compensation = kind == Disturbance::Weight || random.one_chance_in(2.0);
     Scene { rate_hz: RATE_HZ, velocity_terms, gravity_compensation, ..scene(task, &walls) }
 }
 
 /// Arms a random device and disturbs it. Returns the number of compared crests in one pass, the number of crests in one
 /// pass with reduced torques, and the fault.
-fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<Fault>) {
+fn run_episode(random: &mut Random, kind: Disturbance) -> ([u32; 2], Option<Fault>) {
     let mut description = random.choose(&devices());
-    if matches!(trouble, Disturbance::Stretch | Disturbance::Weight) {
+    if matches!(kind, Disturbance::Stretch | Disturbance::Weight) {
         description = devices()[1];
     }
     let joints = description.joints.iter().take_while(|joint| joint.motor.is_some()).count();
     let mut rules = Rules { host_action: HostAction::Ignore, host_seconds: 0.05, ..rig::rules() };
     rules.limits.tip_force = random.choose(&[1.0e3, 3.0]);
     rules.limits.torque = [random.choose(&[0.3, 0.1, 0.03, 0.01, 0.003]); MAX_JOINTS];
-    if trouble == Disturbance::Stretch {
+    if kind == Disturbance::Stretch {
         rules.limits.torque = [0.003; MAX_JOINTS];
     }
-    if trouble == Disturbance::Weight {
+    if kind == Disturbance::Weight {
         // These limits are close to the torques of the device's weight at home.
         rules.limits.torque = random.choose(&[[0.0261, 0.0266, 0.0], [0.032; MAX_JOINTS]]);
     }
-    if trouble == Disturbance::Range {
+    if kind == Disturbance::JointRange {
         let home = description.home.expect("every device here has a home");
         for (joint, home) in description.joints.iter_mut().zip(home).take(joints) {
             joint.limits = Some((home - 0.04, home + 0.04));
         }
     }
-    if trouble == Disturbance::Power {
+    if kind == Disturbance::Power {
         rules.limits.power = 0.02;
     }
-    if trouble == Disturbance::Silence {
+    if kind == Disturbance::SilentHost {
         rules.host_action = random.choose(&[HostAction::Hold, HostAction::Disarm]);
     }
-    if trouble == Disturbance::Mark {
+    if kind == Disturbance::IndexMark {
         rules.index_period = [60_000; MAX_JOINTS];
     }
-    let mut pair = BoardPair::new(&description, &random_scene(&description, trouble, random), rules);
+    let mut pair = BoardPair::new(&description, &random_scene(&description, kind, random), rules);
     pair.home();
     let mut samples = samples_at_rest();
     let checks = random.one_chance_in(10.0);
@@ -339,7 +339,7 @@ fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<F
         // Every joint moves randomly near its home.
         let motors = pair.control_loops[0].frame().motors;
         for i in 0..joints {
-            velocity[i] = 0.98 * velocity[i] + random.between(-0.4, 0.4) - 2.0e-4 * at[i];
+            velocity[i] = 0.98 * velocity[i] + random.uniform(-0.4, 0.4) - 2.0e-4 * at[i];
             at[i] += velocity[i];
             let moved = at[i].round() as i32 - samples.counts[i];
             samples.counts[i] += moved;
@@ -348,20 +348,22 @@ fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<F
             let current = &mut samples.currents[i];
             *current += (motors.duty[i] * samples.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
         }
-        if crest % 20 == 0 && (trouble != Disturbance::Silence || crest < begins) {
+        if crest % 20 == 0 && (kind != Disturbance::SilentHost || crest < begins) {
             pair.execute(|| Command::Beat(Beat::Here));
         }
         let mut shown = samples;
         let (now, on) = (crest == begins, crest >= begins);
-        match trouble {
+        match kind {
             Disturbance::Nothing => {}
             Disturbance::Current if now => shown.currents[axis] = random.choose(&INVALID_NUMBERS),
             Disturbance::Bus if now => shown.bus_voltage = random.choose(&[f32::NAN, f32::INFINITY, -24.0, 5.0, 60.0]),
             Disturbance::LowBus if on => samples.bus_voltage = 10.5,
             Disturbance::Imbalance if now => shown.imbalance[axis] = random.choose(&[f32::NAN, 5.0, -5.0]),
-            Disturbance::Jump if now => shown.counts[axis] = random.choose(&[i32::MIN, i32::MAX, 100_000, 60, -60]),
-            Disturbance::Speed if on => at[axis] += random.between(8.0, 14.0),
-            Disturbance::Range if on => at[axis] += 5.0,
+            Disturbance::CountJump if now => {
+                shown.counts[axis] = random.choose(&[i32::MIN, i32::MAX, 100_000, 60, -60])
+            }
+            Disturbance::Speed if on => at[axis] += random.uniform(8.0, 14.0),
+            Disturbance::JointRange if on => at[axis] += 5.0,
             // Both cranks turn outwards until the elbows are stretched.
             Disturbance::Stretch if crest > 1_050 => {
                 (velocity, at) = ([0.0; MAX_JOINTS], [at[0] + 7.0, at[1] - 7.0, 0.0])
@@ -371,21 +373,21 @@ fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<F
                 let coefficients = Coefficients::new(Estimator::BackwardDifference, rate, 1.0);
                 pair.execute(|| Command::Coefficients(coefficients.expect("a backward difference has no cutoff")));
             }
-            Disturbance::Mark if on && random.one_chance_in(20.0) => {
+            Disturbance::IndexMark if on && random.one_chance_in(20.0) => {
                 let count = shown.counts[axis] + random.choose(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
                 pair.apply_to_both(|control_loop| control_loop.mark(marks));
             }
-            Disturbance::Reported if now => {
+            Disturbance::ReportedFault if now => {
                 pair.apply_to_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
             }
             Disturbance::Push | Disturbance::Power | Disturbance::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];
-                torque[axis] = random.between(-2.0, 2.0) * rules.limits.torque[axis];
-                if trouble == Disturbance::Weight {
+                torque[axis] = random.uniform(-2.0, 2.0) * rules.limits.torque[axis];
+                if kind == Disturbance::Weight {
                     // The weight alone exceeds the limits, but weight and requested torque together are within them.
-                    torque = [random.between(0.0, 0.02), random.between(-0.02, 0.0), 0.0];
+                    torque = [random.uniform(0.0, 0.02), random.uniform(-0.02, 0.0), 0.0];
                 }
                 let request =
                     ForceRequest { sequence: crest, hold: 0.01, fade: 0.01, torque, ..ForceRequest::default() };
@@ -393,8 +395,8 @@ fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<F
                 assert_eq!(as_text(&one), as_text(&other));
             }
             Disturbance::Disarm if now => pair.execute(|| Command::Disarm),
-            Disturbance::Mismatch if on => shown.currents = Currents([random.between(-4.0, 4.0); MAX_JOINTS]),
-            Disturbance::Check if now => pair.execute(|| Command::CheckPolarity),
+            Disturbance::WrongCurrent if on => shown.currents = Currents([random.uniform(-4.0, 4.0); MAX_JOINTS]),
+            Disturbance::PolarityCheck if now => pair.execute(|| Command::CheckPolarity),
             _ => {}
         }
         if random.one_chance_in(500.0) {

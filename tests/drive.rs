@@ -152,11 +152,11 @@ fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
                 assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: strain {strain} V");
                 assert!(
                     (winding.current - target).abs() < 0.001,
-                    "{name}, {inductance} H: {} A of {target} A",
+                    "{name}, {inductance} H: a current of {} A, not {target} A",
                     winding.current
                 );
                 let allowed = if name == "always" { 0.01 } else { 0.51 };
-                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: overshoots by {overshoot}");
+                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: an overshoot of {overshoot}");
             }
         }
     }
@@ -178,9 +178,9 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
                     axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 });
                     winding.run_late(&mut axis, every, |period| late(nth * every + period), |_, _| {});
                     let case = format!("{name}, {resistance} ohm, {inductance} H, every {every}, reversal {nth}");
-                    assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: {} A", winding.current);
+                    assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: a current of {} A", winding.current);
                     let (strain, _, tolerance) = axis.strain();
-                    assert!(strain.abs() < tolerance, "{case}: {strain} V of {tolerance} V");
+                    assert!(strain.abs() < tolerance, "{case}: a strain of {strain} V, tolerance {tolerance} V");
                 }
             }
         }
@@ -202,7 +202,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
     let (peak, arrived) = step(motor());
     assert!(peak < 1.01 && arrived == 2, "{peak} of the step, {arrived} periods");
-    // If the inductance is below the file's by a share, the current overshoots by this share until it is corrected.
+    // If the inductance is lower than in the file, the current overshoots by the same share until it is corrected.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {
@@ -211,7 +211,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
             ..expected
         };
         let (peak, arrived) = step(actual);
-        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {peak}, {arrived} periods");
+        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: peak {peak}, {arrived} periods");
     }
 }
 
@@ -242,10 +242,10 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
         winding.run(&mut axis, 1_000, |_, current| peak = peak.max(current));
         let found = f64::from(peak) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
-        // The loop is up to 3/4 of a carrier period late. 314 rad/s · 37.5 µs are 1.2 % of the integral's share, which
-        // is at most 0.31.
-        assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
-        assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
+        // The loop is up to 3/4 of a carrier period late: 314 rad/s · 37.5 µs are 1.2 % of the integral's share (up to
+        // 0.31).
+        assert!((found - expected).abs() < 0.004, "{inductance} H: overshoot {found}, not {expected}");
+        assert!((found - documented).abs() < 0.005, "{inductance} H: overshoot {found}, documented {documented}");
     }
 }
 
@@ -262,8 +262,8 @@ fn a_winding_of_unknown_inductance_does_not_ring() {
             least = if over { least.min(current) } else { least };
         });
         // At x = 0.31 the solution in `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
-        assert!(least > 0.99 * 2.0, "{inductance} H: falls back to {least} A");
-        assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
+        assert!(least > 0.99 * 2.0, "{inductance} H: the current falls back to {least} A");
+        assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: a current of {} A", winding.current);
     }
 }
 
@@ -308,7 +308,7 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
 
 #[test]
 fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
-    // 4 A need 6 V, and 480 rad/s induce 24 V, so the current is far out of reach. Once the motor has stopped, the
+    // 4 A need 6 V, and 480 rad/s induce 24 V, so 24 V cannot make this current. Once the motor has stopped, the
     // current must be right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding { measured_speed: 480.0, ..Winding::new(motor(), 480.0) };

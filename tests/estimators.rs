@@ -22,7 +22,7 @@ fn prewarped_cutoff(cutoff: f64) -> f64 {
     (std::f64::consts::PI * cutoff / RATE_HZ).tan()
 }
 
-fn motion_only<T: Real>(moved: T) -> JointSample<T> {
+fn motion_sample<T: Real>(moved: T) -> JointSample<T> {
     JointSample { moved, pushed: T::zero(), unit: T::one() }
 }
 
@@ -62,7 +62,7 @@ fn run_estimator<E: JointEstimator<f64>>(
 ) -> Vec<f64> {
     let design = E::design(&chosen, prewarped_cutoff(cutoff));
     let mut memory = E::moving_at(0.0);
-    moved.into_iter().map(|moved| memory.step::<Libm>(&design, &motion_only(moved))).collect()
+    moved.into_iter().map(|moved| memory.step::<Libm>(&design, &motion_sample(moved))).collect()
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn the_difference_is_the_mean_over_k_samples() {
             run_estimator::<Difference<f64>>(with_value(k as u32), 500.0, moved.iter().copied()).into_iter().enumerate()
         {
             let over: f64 = moved[(n + 1).saturating_sub(k)..=n].iter().sum();
-            assert!((found - over / k as f64).abs() < 1e-12, "over {k}, sample {n}");
+            assert!((found - over / k as f64).abs() < 1e-12, "wrong mean over {k} samples at sample {n}");
         }
     }
 }
@@ -91,9 +91,9 @@ fn the_predicting_observer_has_three_equal_poles() {
     let design = Predicted::<f64>::design(&NO_OPTIONS, g);
     let mut memory = Predicted::moving_at(0.0);
     for n in 0..50 {
-        memory.step::<Libm>(&design, &motion_only(noise(n)));
+        memory.step::<Libm>(&design, &motion_sample(noise(n)));
     }
-    let errors: Vec<f64> = (0..600).map(|_| memory.step::<Libm>(&design, &motion_only(0.0))).collect();
+    let errors: Vec<f64> = (0..600).map(|_| memory.step::<Libm>(&design, &motion_sample(0.0))).collect();
     assert!(errors[0].abs() > 1e-3 && errors[599].abs() < 1e-6 * errors[0].abs(), "{} to {}", errors[0], errors[599]);
     for w in errors.windows(4) {
         let left = w[3] - 3.0 * p * w[2] + 3.0 * p * p * w[1] - p * p * p * w[0];
@@ -112,12 +112,12 @@ fn a_known_push_acts_at_once_and_an_unknown_push_is_learned() {
         v += known + unknown;
         found = memory.step::<Libm>(&design, &JointSample { moved, pushed: known, unit: 1.0 });
         if n < 1_000 {
-            assert!((found - v).abs() < 1e-12, "step {n}: {found} is not {v}");
+            assert!((found - v).abs() < 1e-12, "step {n}: velocity {found} is not {v}");
         } else if n == 1_005 {
             assert!((found - v).abs() > 1e-4, "an unknown push cannot be estimated so soon");
         }
     }
-    assert!((found / v - 1.0).abs() < 1e-9, "{found} is not {v}");
+    assert!((found / v - 1.0).abs() < 1e-9, "velocity {found} is not {v}");
 }
 
 #[test]
@@ -136,12 +136,12 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
             let x = |n: f64| 0.5 * growth * n * n;
             let found = (1..=5_000)
                 .map(f64::from)
-                .map(|n| joint.step::<Libm>(&coefficients, &motion_only(x(n) - x(n - 1.0)), 0.0))
+                .map(|n| joint.step::<Libm>(&coefficients, &motion_sample(x(n) - x(n - 1.0)), 0.0))
                 .last()
                 .unwrap();
             let late = (growth * 5_000.0 - found) / growth;
             let reported = coefficients.lag() * RATE_HZ;
-            assert!((late / reported - 1.0).abs() < 1e-6, "{kind:?}: {late} periods, reported {reported}");
+            assert!((late / reported - 1.0).abs() < 1e-6, "{kind:?}: a lag of {late} periods, reported {reported}");
         }
     }
 }
@@ -171,7 +171,7 @@ fn every_estimator_finds_the_speed_in_single_precision() {
                 difference = difference.max((v - exact).abs());
             }
         }
-        assert!((mean / speed - 1.0).abs() < 1e-2, "{name}: {mean} is not {speed}");
+        assert!((mean / speed - 1.0).abs() < 1e-2, "{name}: mean velocity {mean} is not {speed}");
         // The difference is in counts per period.
         assert!(difference < 1e-4, "{name}: {difference:e} from double precision");
     }
@@ -220,10 +220,10 @@ fn the_velocity_at_a_wall_is_the_velocity_of_the_tip() {
         }
         let (step, before) = last.expect("steps");
         let moved = (step.distance - before.expect("a step before")) * RATE_HZ as f32;
-        assert!((step.qd[0] / rate - 1.0).abs() < 0.02, "{name}: {} is not {rate} rad/s", step.qd[0]);
+        assert!((step.qd[0] / rate - 1.0).abs() < 0.02, "{name}: joint velocity {} is not {rate} rad/s", step.qd[0]);
         assert!(
             (step.normal_velocity / moved - 1.0).abs() < 0.05,
-            "{name}: {} is not {moved} m/s",
+            "{name}: wall velocity {} is not {moved} m/s",
             step.normal_velocity
         );
     }
@@ -247,7 +247,7 @@ fn a_new_estimator_starts_from_the_present_velocity() {
             let jump = speeds[395..].windows(2).map(|v| (v[1] - v[0]).abs()).fold(0.0, f32::max);
             // The backward difference stores no low-passed velocity, so the next estimator starts from rest.
             let from_rest = *from == "backward-difference" && from != to;
-            assert!(jump < 0.1 * speeds[395].abs() || from_rest, "{from} to {to}: {jump} of {}", speeds[395]);
+            assert!(jump < 0.1 * speeds[395].abs() || from_rest, "{from} to {to}: a jump by {jump} of {}", speeds[395]);
         }
     }
 }

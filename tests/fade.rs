@@ -36,8 +36,8 @@ fn spring_pull_scene(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
 
 /// Creates an armed five-bar at home whose tip a spring pulls with the force `pull`, N.
 fn rig_with_pull(rules: Rules, pull: [f32; 2]) -> Rig {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
-    let mut rig = Rig::with(&five_bar(), &spring_pull_scene(tip, pull), hardware(), rules);
+    let tip = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
+    let mut rig = Rig::new(&five_bar(), &spring_pull_scene(tip, pull), hardware(), rules);
     rig.arm();
     rig
 }
@@ -46,7 +46,7 @@ fn rig_with_pull(rules: Rules, pull: [f32; 2]) -> Rig {
 fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
     for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
         let mut rig = rig_with_pull(force_limited_rules(2.0), pull);
-        assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "{} N", rig.tip_force().norm());
+        assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "a tip force of {} N", rig.tip_force().norm());
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         let before = torques(&rig);
         let mut alone = 0.0_f64;
@@ -65,7 +65,7 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
             alone = alone.max(old.norm());
             assert!(
                 rig.tip_force().norm() <= 2.0 + 5.0 * ROUNDING_N,
-                "{} N, {:?}",
+                "a tip force of {} N, {:?}",
                 rig.tip_force().norm(),
                 rig.control_loop.frame()
             );
@@ -83,10 +83,10 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
     for joint in 0..2 {
         let mut lower = force_limited_rules(5.0);
         lower.limits.torque[joint] = 0.1 * torques(&rig)[joint].abs();
-        rig.execute(Command::Rules(lower)).expect("lowered while armed");
+        rig.execute(Command::Rules(lower)).expect("limits are lowered while armed");
         rig.step();
         let remaining_force = rig.tip_force();
-        assert!(remaining_force.norm() < 0.11 * before.norm(), "{remaining_force} of {before}");
+        assert!(remaining_force.norm() < 0.11 * before.norm(), "a force of {remaining_force} N is left of {before} N");
         let aside = (remaining_force.x * before.y - remaining_force.y * before.x).abs() / before.norm();
         assert!(aside < 0.01 * before.norm(), "the direction changed: {remaining_force} of {before}");
         let mut raised = rig_with_pull(force_limited_rules(5.0), [4.0, 2.0]);
@@ -98,11 +98,11 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
 
 #[test]
 fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
+    let tip = Rig::new(&five_bar(), &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
     let normal = [0.8, 0.6, 0.0];
     let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
     let bilateral = Wall { surface, bilateral: true, feed_forward: FeedForward::Full, ..wall(0.0, 2_480.0) };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), force_limited_rules(2.0));
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[bilateral]), hardware(), force_limited_rules(2.0));
     rig.arm();
     let before = torques(&rig);
     assert!(
@@ -169,7 +169,7 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
     };
     let free_scene = scene(2, &[]);
     for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
-        let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
+        let mut rig = Rig::new(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
         rig.arm();
         assert_eq!(rig.control_loop.force(&push(1, first)).done, ForceDone::Taken);
         rig.step();
@@ -179,7 +179,7 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
         for _ in 0..80 {
             rig.step();
             let now = torques(&rig)[0];
-            assert!(now >= -1.0e-6 && now <= before.max(0.2), "{first} and {second} N m: {before} to {now}");
+            assert!(now >= -1.0e-6 && now <= before.max(0.2), "{first} and {second} N m: torque {before} to {now}");
         }
         assert!(torques(&rig)[0].abs() < 1.0e-6, "{first} and {second} N m: {:?} after both leases", torques(&rig));
     }
@@ -190,7 +190,7 @@ fn further_scenes_do_not_prolong_a_host_force() {
     for steps_between in [0, 1, 20] {
         for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [4.0, 0.0, 0.0])] {
             let free_scene = scene(2, &[]);
-            let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
+            let mut rig = Rig::new(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
             rig.arm();
             let request =
                 ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
@@ -215,11 +215,11 @@ fn compensated_weight_does_not_count_against_the_limit() {
     }
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&heavy) else { panic!("a five-bar") };
     let weight = |q: &[f32; 3]| mechanism.gravity(&mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]).map(f64::from)));
-    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
+    let tip = Rig::new(&heavy, &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
         let mut rig =
-            Rig::with(&heavy, &with(spring_pull_scene(tip, [1.9, 0.0]), before), hardware(), force_limited_rules(2.0));
+            Rig::new(&heavy, &with(spring_pull_scene(tip, [1.9, 0.0]), before), hardware(), force_limited_rules(2.0));
         rig.arm();
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
@@ -235,7 +235,7 @@ fn compensated_weight_does_not_count_against_the_limit() {
             let held = weight(&frame.at.q) * share;
             let rest = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from) - held;
             let force = force_at_tip(&frame.at.q, rest).norm();
-            assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
+            assert!(force <= 2.0 + 0.02, "force {force} N at step {step}, {before} to {after}: {frame:?}");
         }
     }
 }
@@ -244,7 +244,7 @@ fn compensated_weight_does_not_count_against_the_limit() {
 fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
     for steps in 998..=1_003 {
         let free_scene = scene(2, &[]);
-        let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
+        let mut rig = Rig::new(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
         rig.execute(Command::Arm).expect("ready");
         for step in 0..steps {
             // The requested force is four times the tip-force limit.
@@ -270,7 +270,7 @@ fn compensated_weight_follows_the_pose_through_many_scenes() {
     heavy.links.iter_mut().for_each(|link| link.mass = 0.2);
     let scene = Scene { gravity_compensation: true, ..scene(2, &[]) };
     let armed = || {
-        let mut rig = Rig::with(&heavy, &scene, hardware(), force_limited_rules(2.0));
+        let mut rig = Rig::new(&heavy, &scene, hardware(), force_limited_rules(2.0));
         rig.arm();
         rig
     };

@@ -22,15 +22,15 @@ fn force_limited_rules(tip_force: f32) -> Rules {
 
 /// Creates an armed five-bar at home whose tip a spring pulls with the force (x, y), N.
 fn rig_with_pull(rate: f32, [x, y]: [f32; 2], rules: Rules) -> Rig {
-    let tip = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules).control_loop.frame().at.tip;
+    let tip = Rig::new(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules).control_loop.frame().at.tip;
     let pulling_scene = spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0);
-    let mut rig = Rig::with(&five_bar(), &at_rate(rate, pulling_scene), hardware(), rules);
+    let mut rig = Rig::new(&five_bar(), &at_rate(rate, pulling_scene), hardware(), rules);
     rig.arm();
     rig
 }
 
 /// Returns the largest tip force (N) while a hand stretches the elbows at `speed` (rad/s). A new scene is loaded after
-/// `begin` (rad) of motion, and then every `every` steps (0: never again).
+/// `begin` (rad) of motion, and again at intervals of `every` steps (0: not again).
 fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     let free_scene = at_rate(rate, scene(2, &[]));
     let mut rig = rig_with_pull(rate, [1.9, 0.3], force_limited_rules(2.0));
@@ -56,8 +56,8 @@ fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
 
 const RATES_HZ: [f32; 7] = [200.0, 1_000.0, 5_000.0, 7_000.0, 10_000.0, 20_000.0, 50_000.0];
 
-/// Asserts the limit at these rates (Hz) and at every speed, for each `begin` (unit 0.06 rad) and each `every` of
-/// [`largest_force`].
+/// Asserts the tip-force limit at every rate (Hz) and speed. `begins` (in steps of 0.06 rad) and `every` are arguments
+/// of [`largest_force`].
 fn assert_limit(rates: &[f32], begins: impl IntoIterator<Item = u8> + Clone, every: &[u32]) {
     for (rate, every) in rates.iter().flat_map(|rate| every.iter().map(move |every| (*rate, *every))) {
         for speed in [2.0, 5.0, 10.0, 20.0, 50.0] {
@@ -85,7 +85,7 @@ fn a_fade_is_within_the_limit_from_every_pose() {
 fn a_limit_lowered_just_before_a_scene_holds_at_every_rate() {
     for (rate, scenes) in [1_000.0, 2_000.0, 10_000.0, 20_000.0, 50_000.0].map(|rate| [(rate, 1), (rate, 2)]).concat() {
         let mut rig = rig_with_pull(rate, [3.9, 0.0], force_limited_rules(5.0));
-        rig.execute(Command::Rules(force_limited_rules(1.0))).expect("lowered while armed");
+        rig.execute(Command::Rules(force_limited_rules(1.0))).expect("limits are lowered while armed");
         for _ in 0..scenes {
             rig.load(&five_bar(), &at_rate(rate, scene(2, &[])), true).expect("free space");
         }

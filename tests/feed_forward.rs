@@ -13,8 +13,8 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
 const RATE_HZ: f64 = 1_000.0;
-fn shipped(name: &str) -> Description {
-    with_fine_encoders(device_file::shipped(name))
+fn shipped_device(name: &str) -> Description {
+    with_fine_encoders(device_file::shipped_device(name))
 }
 
 fn wall<T: Real>(surface: Surface<T>, feed_forward: FeedForward) -> Wall<T> {
@@ -118,12 +118,12 @@ fn check_one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Descripti
         let (p, v) = (task_part(&o.position, task), task_part(&o.velocity, task));
         let n = surface.contact::<Libm, N>(&p).normal;
         let n_rate = surface.normal_rate::<Libm, N>(&p, &v);
-        assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
+        assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "no contact in motion: {} N at {} m/s", o.force, v.norm());
         assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
         for t in perpendicular_units(&n) {
             // π̇a = t·p̈ + ṫ·ṗ, where t turns with n without spinning about n.
             let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
-            assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
+            assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s² along the wall", M::SPEC.name);
         }
         assert!(n.dot(&o.acceleration).abs() > 0.5, "the wall accelerates the tip");
     }
@@ -131,14 +131,14 @@ fn check_one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Descripti
 
 #[test]
 fn at_any_wall_the_tip_accelerates_along_the_normal_only() {
-    let device = shipped("haply-2diy");
+    let device = shipped_device("haply-2diy");
     with_five_bar(&device, |m| check_one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
     for (file, q, qd) in [
         ("fictive-five-bar-turret", [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]),
         ("phantom-premium-1.5", [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]),
         ("serial-3r", [0.4, 0.9, 0.7], [1.0, -0.8, 1.3]),
     ] {
-        let device = shipped(file);
+        let device = shipped_device(file);
         match AnyMechanism::<f64>::new(&device).expect("a sound device") {
             AnyMechanism::FiveBarTurret(m) => check_one_wall(m, &device, &q, &qd),
             AnyMechanism::Parallelogram(m) => check_one_wall(m, &device, &q, &qd),
@@ -153,9 +153,9 @@ fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::model::mechanis
     f(m);
 }
 
-/// Checks two walls that act together, where the admissible direction is the line along both. Curved walls are tested
-/// at right angles and with equal stiffness, where they show that the line turns. Flat walls are tested at several
-/// angles and ratios of stiffness.
+/// Checks two walls that act together, where the admissible direction is the line along both. Curved walls, at right
+/// angles and of equal stiffness, show that the line turns. Flat walls are tested at several angles and ratios of
+/// stiffness.
 fn check_edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
     let (q, qd) = (SVector::from(q), SVector::from(qd));
     let tip = m.tip(&m.pose::<Libm>(&q));
@@ -196,10 +196,10 @@ fn check_edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd:
 
 #[test]
 fn the_tip_does_not_accelerate_along_an_edge_of_two_walls() {
-    let device = shipped("fictive-five-bar-turret");
+    let device = shipped_device("fictive-five-bar-turret");
     let Ok(AnyMechanism::FiveBarTurret(m)) = AnyMechanism::new(&device) else { panic!("a turreted five-bar") };
     check_edge(m, &device, [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]);
-    let device = shipped("phantom-premium-1.5");
+    let device = shipped_device("phantom-premium-1.5");
     let Ok(AnyMechanism::Parallelogram(m)) = AnyMechanism::new(&device) else { panic!("a parallelogram") };
     check_edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
 }
@@ -235,7 +235,7 @@ where
 
 #[test]
 fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
-    let device = shipped("phantom-premium-1.5");
+    let device = shipped_device("phantom-premium-1.5");
     let Ok(AnyMechanism::Parallelogram(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a parallelogram") };
     let Ok(AnyMechanism::Parallelogram(board)) = AnyMechanism::<f32>::new(&device) else { panic!("a parallelogram") };
     let q = SVector::from([0.3, 0.9, -0.3]);
@@ -247,11 +247,10 @@ fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
         let (full, fresh) = (force(FeedForward::Full, 3.0), force(FeedForward::Washout, 0.0));
         let (early, rested) = (force(FeedForward::Washout, 0.01), force(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
-        // The washout acts like the full feed-forward at contact, almost the same after 10 ms, and not at all in the
-        // end.
-        assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
-        assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
-        assert!(rested < 1e-4, "{rested} N per N at rest");
+        // The washout acts like the full feed-forward at contact, almost the same after 10 ms, and finally not at all.
+        assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "sideways force {fresh} at contact, {full} in full");
+        assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "sideways {early} after 10 ms, {full} in full");
+        assert!(rested < 1e-4, "a sideways force of {rested} N per N at rest");
         assert!(force(FeedForward::Off, 0.0) < 1e-4);
     }
     assert!(worst_full > 0.2, "the full feed-forward must push sideways at rest: {worst_full}");
@@ -260,7 +259,7 @@ fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
 #[test]
 fn a_wall_never_pulls() {
     for file in ["hapkit-paddle", "haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"] {
-        let device = shipped(file);
+        let device = shipped_device(file);
         let mechanism = AnyMechanism::<f32>::new(&device).expect("a sound device");
         with_mechanism!(mechanism, m => check_shaken_wall(m, &device));
     }

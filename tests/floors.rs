@@ -1,5 +1,5 @@
-//! The modules of the library form floors. A module uses only its own floor and lower floors, and no modules use each
-//! other in a circle.
+//! The modules of the library form floors. A module uses only its own and lower floors, and modules do not form
+//! circles.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{read_dir, read_to_string};
@@ -20,7 +20,7 @@ const HOST_FOLDERS: [&str; 7] = [
     "tool/src",
 ];
 
-/// Words for boards and chips. The library must not contain them because all boards share it.
+/// Words for boards and chips, which must not occur in the library because all boards share the library.
 const BOARD_WORDS: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
 /// Files below the tool that may contain options because they write complete command lines.
@@ -82,8 +82,7 @@ impl Source {
         source
     }
 
-    /// Records the paths in a module's code that begin with `crate` or `super`, also paths in braces. Other paths stay
-    /// inside the module.
+    /// Records the paths in a module's code that begin with `crate` or `super`, also in braces. Other paths are local.
     fn record_paths(&mut self, module: &[String], code: &str) {
         let is_path = |c: char| c.is_alphanumeric() || "_:".contains(c);
         for start in ["crate::", "super::"] {
@@ -146,8 +145,8 @@ fn modules(folder: &str) -> Vec<Source> {
     sources.map(|(file, code)| Source::new(&file, &code)).collect()
 }
 
-/// Returns the modules in circles and their uses. Modules without uses are removed until only circles and their users
-/// remain. `name` returns the module of a source.
+/// Returns the modules in circles and their uses. Repeatedly removes modules without uses, until only circles and their
+/// users remain. `name` returns the module of a source.
 fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(&name).collect();
     let mut uses: BTreeMap<String, BTreeSet<String>> = modules.iter().map(|m| (m.clone(), BTreeSet::new())).collect();
@@ -175,7 +174,7 @@ fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> B
 fn floors_import_lower_floors_only() {
     let library = modules("src");
     for floor in LEVELS.iter().copied().flatten() {
-        assert!(library.iter().any(|source| source.floor() == *floor), "no floor {floor}");
+        assert!(library.iter().any(|source| source.floor() == *floor), "no module is on the floor {floor}");
     }
     let uses: usize = library.iter().map(|source| source.uses.len()).sum();
     assert!(uses > 500, "only {uses} uses found");
@@ -207,7 +206,7 @@ fn no_module_is_in_a_circle() {
 #[test]
 fn the_library_names_no_board_and_no_chip() {
     let sources = sources("src");
-    assert!(sources.len() > 60, "only {} sources", sources.len());
+    assert!(sources.len() > 60, "only {} sources found", sources.len());
     for (file, code) in sources {
         let code = code.to_lowercase().replace('_', "-");
         let words: Vec<&str> = BOARD_WORDS.into_iter().filter(|word| code.contains(word)).collect();
@@ -231,6 +230,6 @@ fn no_crate_below_the_tool_names_an_option_of_the_tool() {
             }
         }
     }
-    assert!(read > 100, "only {read} sources");
+    assert!(read > 100, "only {read} sources found");
     assert_eq!(violations, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
 }

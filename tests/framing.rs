@@ -1,6 +1,6 @@
 //! The library's frames equal those of the `cobs` crate, for any content and any split into pieces.
 
-use crate::common::cases;
+use crate::common::property_config;
 use haptic_bridge::board::framing::{Decoder, encode, max_wire_length};
 use haptic_bridge::board::protocol::MAX_FRAME;
 use proptest::collection::vec;
@@ -77,7 +77,7 @@ fn bytes_that_are_no_frame_are_skipped() {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(property_config(256))]
 
     #[test]
     fn the_crate_and_the_library_read_each_others_frames(frame in frame_contents()) {

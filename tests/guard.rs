@@ -15,15 +15,15 @@ enum Origin {
     /// Detected by the control step. The function returns an armed board just before that step.
     Step(fn() -> Rig),
     /// Detected outside the control step and reported to the control loop.
-    Reported,
+    Report,
 }
 
 /// Runs a polarity check of a motor with `factor` times the torque of its file and a winding of `resistance` ohm.
 fn run_polarity_check(factor: f64, resistance: f32) -> Rig {
-    let mut rig = Rig::ready(&far_wall());
+    let mut rig = Rig::homed_paddle(&far_wall());
     rig.resistance = resistance;
     rig.execute(Command::CheckPolarity).unwrap();
-    rig::Body::of(&rig::paddle()).run_check(&mut rig, factor);
+    rig::Body::new(&rig::paddle()).run_check(&mut rig, factor);
     rig
 }
 
@@ -31,12 +31,12 @@ fn origin(fault: Fault) -> Origin {
     use Origin::{Reported, Step};
     match fault {
         Fault::EncoderJump => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.samples.counts[0] += 4_000;
             rig
         }),
         Fault::EncoderStall => Step(|| {
-            let mut rig = Rig::pressing(255.0);
+            let mut rig = Rig::pressed_paddle(255.0);
             let steps = (5.0 * RATE_HZ) as u32;
             for _ in 0..steps {
                 rig.step();
@@ -48,7 +48,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::EncoderLoss => Step(|| {
             // A hand turns the motor at 10 rad/s, so the current loop must oppose 1 V of back-EMF.
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             for _ in 0..(0.5 * RATE_HZ) as u32 {
                 rig.shown_current = Some(-0.05);
                 rig.step();
@@ -59,7 +59,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::IndexMismatch => Step(|| {
-            let mut rig = Rig::armed_with(|rules| rules.index_period[0] = 60_000);
+            let mut rig = Rig::armed_with_rules(|rules| rules.index_period[0] = 60_000);
             rig.marks = Some([Some(1_000), None, None]);
             rig.step();
             assert_eq!(rig.fault(), None, "the first index sets the position");
@@ -67,19 +67,19 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::JointLimit => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.turn(0, 0.9999, 5.0);
             rig.samples.counts[0] += 3;
             rig
         }),
         Fault::SpeedLimit => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.turn(0, 0.6, 30.0);
             rig
         }),
         Fault::ForceLimit => Step(|| {
             // The motor has current although no force is commanded.
-            let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
+            let mut rig = Rig::armed_with_rules(|rules| rules.limits.tip_force = 0.02);
             for _ in 0..(0.01 * RATE_HZ) as u32 {
                 rig.shown_current = Some(0.2);
                 rig.step();
@@ -90,33 +90,33 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::OverCurrent => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.shown_current = Some(6.0);
             rig
         }),
         Fault::ThermalBudget => Step(|| {
-            let mut rig = Rig::pressing(290.0);
+            let mut rig = Rig::pressed_paddle(290.0);
             rig.hold_in_place(10.0);
             rig
         }),
         Fault::BusUnderVoltage => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.samples.bus_voltage = 9.9;
             rig
         }),
         Fault::BusOverVoltage => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.samples.bus_voltage = 28.1;
             rig
         }),
         Fault::NotFinite => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             rig.shown_current = Some(f32::NAN);
             rig
         }),
         Fault::Singularity => Step(|| {
             let description = five_bar();
-            let mut rig = Rig::with(&description, &scene(2, &[]), hardware(), rules());
+            let mut rig = Rig::new(&description, &scene(2, &[]), hardware(), rules());
             rig.arm();
             // Both cranks turn outwards until the distal links are in one line.
             let mut angle = 0.0;
@@ -129,13 +129,13 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::HostLost => Step(|| {
-            let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Disarm);
+            let mut rig = Rig::armed_with_rules(|rules| rules.host_action = HostAction::Disarm);
             rig.execute(Command::Beat(Beat::Here)).unwrap();
             rig.run(0.5);
             rig
         }),
         Fault::KeyReleased => Step(|| {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             let press = Press { holder: 7, seen: rig.control_loop.steps() };
             for _ in 0..5 {
                 rig.execute(Command::Beat(Beat::Held(press))).unwrap();
@@ -145,7 +145,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::PowerLimit => Step(|| {
             // The wall pushes the paddle out with the full torque at 10 rad/s, which is 3 W of the allowed 2 W.
-            let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+            let mut rig = Rig::homed_paddle(&scene(1, &[wall(0.09, 100_000.0)]));
             rig.turn(0, 0.95, 5.0);
             rig.settle();
             rig.arm();
@@ -154,19 +154,19 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::CurrentSensor => Step(|| {
-            let mut rig = Rig::pressing(250.0);
+            let mut rig = Rig::pressed_paddle(250.0);
             rig.imbalance[0] = 1.0;
             rig
         }),
         Fault::MotorModel => Step(|| {
-            let mut rig = Rig::pressing(250.0);
+            let mut rig = Rig::pressed_paddle(250.0);
             rig.shown_current = Some(0.0);
             rig.run(0.001);
             rig
         }),
         Fault::PolarityWrong => Step(|| run_polarity_check(-1.0, 2.0)),
         Fault::PolarityNoMotion => Step(|| {
-            let mut rig = Rig::ready(&far_wall());
+            let mut rig = Rig::homed_paddle(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
             rig.run(2.2);
             rig
@@ -174,7 +174,7 @@ fn origin(fault: Fault) -> Origin {
         Fault::TorqueMismatch => Step(|| run_polarity_check(1.5, 2.0)),
         Fault::ResistanceMismatch => Step(|| run_polarity_check(1.0, 3.0)),
         Fault::PolarityUnrest => Step(|| {
-            let mut rig = Rig::ready(&far_wall());
+            let mut rig = Rig::homed_paddle(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
             for step in 0..(5.1 * RATE_HZ) as u32 {
                 rig.samples.counts[0] += i32::from(step % 4 == 0);
@@ -262,7 +262,7 @@ fn faults_table() -> String {
 #[test]
 fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
     let fault = |first: (i32, i32), second: (i32, i32)| {
-        let mut rig = Rig::armed_with(|rules| rules.index_period[0] = 60_000);
+        let mut rig = Rig::armed_with_rules(|rules| rules.index_period[0] = 60_000);
         let mut counts = 0;
         for (moved, index) in [first, second] {
             for seen in [None, Some(index)] {
@@ -274,7 +274,7 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
         }
         rig.fault()
     };
-    // Two pulses are 8 counts wide. The joint moves another 20 counts after the pulse.
+    // Two index positions may differ by the pulse's width of 8 counts, plus the 20 counts that the joint moves.
     assert_eq!(fault((0, 1_000), (0, 1_008)), None);
     assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
     assert_eq!(fault((0, 1_000), (20, 1_028)), None);
@@ -285,12 +285,11 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
     assert_eq!(fault((0, 1_000), (0, 61_003)), None);
 }
 
-/// The offset that a current sensor shows while the bridges are off remains as an error, which no limit on measured
-/// currents bounds.
+/// A current sensor's offset with the bridges off remains as an error that no limit on measured currents bounds.
 #[test]
 fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
     let result = |current: f32, command: fn() -> Command<BoxedProgram>| {
-        let mut rig = Rig::with(&paddle(), &far_wall(), hardware(), rules());
+        let mut rig = Rig::new(&paddle(), &far_wall(), hardware(), rules());
         // Tip force per ampere, N/A.
         let force = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
         rig.rules.limits.tip_force = (2.0 * 0.1 * force) as f32;
@@ -311,7 +310,7 @@ fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
 /// The currents get time to settle after a limit is lowered, but not after every repetition.
 #[test]
 fn repeated_rules_do_not_suspend_the_force_limit() {
-    let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
+    let mut rig = Rig::armed_with_rules(|rules| rules.limits.tip_force = 0.2);
     rig.rules.limits.tip_force = 0.1;
     let settling = |rig: &Rig| {
         let all = format!("{:?}", rig.control_loop);
@@ -354,8 +353,8 @@ fn rig_with_fault(fault: Fault) -> Rig {
             }
             rig
         }
-        Origin::Reported => {
-            let mut rig = Rig::armed();
+        Origin::Report => {
+            let mut rig = Rig::armed_paddle();
             rig.reported_fault = Some((fault, None, 1.0));
             rig.step();
             rig
@@ -375,7 +374,7 @@ fn every_fault_can_be_provoked_and_is_reported_as_itself() {
 fn motors_are_off_in_the_control_period_of_any_fault() {
     for fault in Fault::ALL {
         let rig = rig_with_fault(*fault);
-        assert!(rig.motors_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
+        assert!(rig.motors_are_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
     }
 }
 
@@ -395,7 +394,7 @@ fn a_sudden_cause_turns_the_motors_off_in_one_step() {
         let mut rig = prepare();
         assert!(rig.outputs.bridges, "{}: must be armed before", fault.name());
         rig.step();
-        assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
+        assert!(rig.motors_are_off() && rig.state() == State::Fault, "{}", fault.name());
     }
 }
 
@@ -409,7 +408,7 @@ fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
         rig.settle();
         rig.reported_fault = Some((Fault::SensorStale, None, 7.0));
         rig.step();
-        assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
+        assert!(rig.motors_are_off() && rig.state() == State::Fault, "{}", fault.name());
         let reported = rig.control_loop.status().fault;
         assert_eq!(
             reported.map(|r| (r.fault, r.axis, r.step)),
@@ -430,7 +429,7 @@ fn clearing_ends_every_fault_and_leaves_the_motors_off() {
         rig.execute(Command::Clear).unwrap();
         rig.settle();
         assert_eq!((rig.state(), rig.fault()), (State::Disarmed, None), "{}", fault.name());
-        assert!(rig.motors_off(), "{}", fault.name());
+        assert!(rig.motors_are_off(), "{}", fault.name());
     }
 }
 

@@ -1,7 +1,6 @@
-//! The control step over long times, at far angles, with wrapping counters, at singularities, and with NaN and
-//! infinity.
+//! The control step over long times, at far angles, with wrapping counters, at singularities, and with invalid numbers.
 
-use crate::common::device_file::shipped;
+use crate::common::device_file::shipped_device;
 use crate::hard_cases::rows::steps::{controller, counts, pad_to_three, scene, with_encoders};
 use crate::rig::{self, Rig};
 use haptic_bridge::control::Command;
@@ -19,11 +18,11 @@ use nalgebra::{SVector, Vector2, Vector3};
 
 const COUNTS_PER_TURN: i32 = 1_048_576;
 
-type Board = Controller<f32, FiveBar<f32>, BoardMath, 2>;
+type HaplyController = Controller<f32, FiveBar<f32>, BoardMath, 2>;
 
 /// Returns the controller of a Haply whose tip is on a wall, with all terms on, and the start pose.
-fn haply_controller(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
-    let device = with_encoders(&shipped("haply-2diy"));
+fn haply_controller(feed_forward: FeedForward) -> (HaplyController, Vector2<f64>) {
+    let device = with_encoders(&shipped_device("haply-2diy"));
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f32>::new(&device) else { panic!("a sound five-bar") };
     let Ok(AnyMechanism::FiveBar(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a sound five-bar") };
     let q = Vector2::new(2.4, 0.7);
@@ -77,8 +76,8 @@ fn a_pose_many_turns_away_is_the_same_pose() {
             assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
             // Negative angles round differently.
             let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
-            assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
-            assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
+            assert!((a.tip - b.tip).amax() < 1e-7, "the tip differs after {turns} turns");
+            assert!((a.torque - b.torque).amax() < 1e-3, "after {turns} turns: torque {} and {}", a.torque, b.torque);
         }
     }
 }
@@ -105,7 +104,7 @@ fn ten_hours_at_1_khz_do_not_change_a_step() {
         }
     }
     assert!(largest > 0.01, "the tip must touch the wall: {largest}");
-    assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
+    assert!(worst <= 1e-6 * largest, "torques differ by {worst} of {largest} N m");
 }
 
 /// Moves a device along a path of joint angles with a constant force of about 1 N on its tip. Returns the result of
@@ -128,21 +127,20 @@ fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     .collect()
 }
 
-/// Asserts that the feed-forward fades from 1 to 0 between the documented sines, and that the torque changes little
-/// from step to step.
+/// Asserts that the feed-forward fades from 1 to 0 between the documented sines, and that torques change smoothly.
 fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
     for (step, sine) in steps {
         assert!(step.torque.iter().all(|t| t.is_finite()), "{name}: {step:?}");
-        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{name} at {sine}: {}", step.shaping);
-        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{name} at {sine}: {}", step.shaping);
+        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{name} at {sine}: share {}", step.shaping);
+        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{name} at {sine}: share {}", step.shaping);
     }
     assert_eq!(steps[0].0.shaping, 1.0, "{name}");
     assert_eq!(steps[steps.len() - 1].0.shaping, 0.0, "{name}");
     for pair in steps.windows(2).skip(200) {
         let ((before, _), (after, sine)) = (&pair[0], &pair[1]);
         let jump = (after.torque - before.torque).amax();
-        assert!(jump < 0.02 * largest, "{name} at a sine of {sine}: {jump} of {largest}");
+        assert!(jump < 0.02 * largest, "{name} at a sine of {sine}: the torque jumps by {jump} of {largest}");
         assert!((after.shaping - before.shaping).abs() < 0.01, "{name}");
     }
 }
@@ -156,7 +154,7 @@ fn straight_path<const N: usize>(
 }
 
 fn mechanism_of(file: &str) -> AnyMechanism<f32> {
-    AnyMechanism::new(&shipped(file)).expect("a sound device")
+    AnyMechanism::new(&shipped_device(file)).expect("a sound device")
 }
 
 #[test]
@@ -165,11 +163,12 @@ fn the_feed_forward_fades_smoothly_near_an_elbow_singularity() {
     let folding = straight_path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
     assert_fades(
         "parallelogram",
-        &steps_along(phantom, &with_encoders(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
+        &steps_along(phantom, &with_encoders(&shipped_device("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
     );
     let AnyMechanism::Serial3r(arm) = mechanism_of("serial-3r") else { panic!("a serial arm") };
     let stretching = straight_path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
-    assert_fades("serial-3r", &steps_along(arm, &with_encoders(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
+    let device = with_encoders(&shipped_device("serial-3r"));
+    assert_fades("serial-3r", &steps_along(arm, &device, [0.6, 0.8, 0.0], stretching));
 }
 
 #[test]
@@ -177,12 +176,13 @@ fn the_feed_forward_fades_smoothly_near_the_turrets_axis() {
     let AnyMechanism::Parallelogram(phantom) = mechanism_of("phantom-premium-1.5") else { panic!("a parallelogram") };
     // The tip reaches the turret's axis when both arm angles are past the vertical by the same amount.
     let over = straight_path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
-    assert_fades("axis", &steps_along(phantom, &with_encoders(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
+    let device = with_encoders(&shipped_device("phantom-premium-1.5"));
+    assert_fades("axis", &steps_along(phantom, &device, [0.6, 0.0, 0.8], over));
 }
 
 #[test]
 fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
-    let mut device = with_encoders(&shipped("coupled-five-bar"));
+    let mut device = with_encoders(&shipped_device("coupled-five-bar"));
     device.geometry[0] = 0.1;
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
     // Both arms swing outwards until the rods are almost in line, where base + 2 l cos = 2 r.
@@ -208,7 +208,7 @@ fn torques_are_finite_at_any_count() {
 #[test]
 fn torques_are_finite_at_every_pose_of_every_shipped_device() {
     fn sweep<M: Mechanism<f32, N>, const N: usize>(mechanism: M, file: &str) {
-        let device = with_encoders(&shipped(file));
+        let device = with_encoders(&shipped_device(file));
         let n = pad_to_three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
         let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
         let mut controller = controller::<f32, BoardMath, M, N>(mechanism, &device, &scene);
@@ -237,7 +237,7 @@ const INVALID_NUMBERS: [f32; 7] =
 fn invalid_measurements_never_reach_a_duty() {
     for poison in INVALID_NUMBERS {
         for field in 0..4 {
-            let mut rig = Rig::armed();
+            let mut rig = Rig::armed_paddle();
             match field {
                 0 => rig.samples.bus_voltage = poison,
                 1 => rig.shown_current = Some(poison),
@@ -266,7 +266,7 @@ fn a_device_with_an_invalid_number_is_refused_or_harmless() {
             let mut spoilt = bytes.clone();
             spoilt[place..place + 4].copy_from_slice(&poison.to_le_bytes());
             let Ok(device) = postcard::from_bytes::<Device<f32>>(&spoilt) else { continue };
-            let mut rig = Rig::bare(rig::hardware(), rig::rules());
+            let mut rig = Rig::without_device(rig::hardware(), rig::rules());
             let program = Program::new(&rig.hardware, &rig.rules.limits, &device, &scene, false);
             let Ok(program) = program else {
                 refused += 1;
@@ -285,7 +285,7 @@ fn a_device_with_an_invalid_number_is_refused_or_harmless() {
             for k in 0..200 {
                 rig.samples.counts = Counts([40 * (k % 50), -30 * (k % 50), 0]);
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "byte {place}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "byte {place}: duties {:?}", rig.duties);
             }
         }
     }

@@ -1,6 +1,6 @@
 //! A motor's thermal budget holds across changes of the device and the rules, and across restarts.
 
-use crate::common::cases;
+use crate::common::property_config;
 use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
 use core::sync::atomic::{AtomicU32, Ordering};
 use haptic_bridge::control::{Command, Rules};
@@ -95,7 +95,7 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
     for heat in [&mut heat, &mut next] {
         heat.limit(3.0, 0.01);
         let more = time_to_trip(heat, 3.0, 20.0).unwrap();
-        assert!((more - 2.0).abs() < 0.01, "{more} s more");
+        assert!((more - 2.0).abs() < 0.01, "the peak may last another {more} s");
     }
     // Many small reductions must not prolong the peak either.
     let (mut heat, mut current, mut seconds) = (cold_motor(3.0, 2.99), 2.99_f32, 0.0_f32);
@@ -190,7 +190,7 @@ fn invalid_words_are_unknown_heat() {
         for bits in [f32::NAN.to_bits(), u32::MAX] {
             let mut words = sound.words();
             words[place] = bits;
-            assert_eq!(Heat::from_words(words), Heat::UNKNOWN, "word {place}");
+            assert_eq!(Heat::from_words(words), Heat::UNKNOWN, "a wrong word {place} is not noticed");
         }
     }
 }
@@ -206,7 +206,7 @@ fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
     // A restart during the next write leaves one wrong word.
     for place in 0..STORED_WORDS {
         let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
-        assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "word {place}");
+        assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "a wrong word {place} is not noticed");
         memory[place].store(before, Ordering::Relaxed);
     }
 }
@@ -230,10 +230,9 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 proptest! {
-    #![proptest_config(cases(500))]
+    #![proptest_config(property_config(500))]
 
-    /// The oracle is a lower bound of the heat: the integral of i² - c², where c is the largest continuous current
-    /// allowed so far.
+    /// The oracle is a lower bound of the heat: the integral of i² - c² with the largest continuous current c so far.
     #[test]
     fn no_request_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
         let (mut heat, mut rules, mut motor) = (Heat::default(), (3.0_f32, 1.0_f32), Some(3.0_f32));
@@ -251,7 +250,7 @@ proptest! {
                         let is_tripped = heat.warm(current * current * dt, dt);
                         least = (least + (f64::from(current).powi(2) - largest * largest) * f64::from(dt)).max(0.0);
                         let held = f64::from(heat.held());
-                        prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "{held} A² s, at least {least}");
+                        prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "a heat of {held} A² s, expected at least {least}");
                         if is_tripped {
                             break;
                         }
@@ -266,8 +265,7 @@ proptest! {
         heat.limit(3.0, 1.0);
         let rest = |heat: &mut Heat, seconds: f32| (0..(seconds / dt) as u32).for_each(|_| _ = heat.warm(0.0, dt));
         rest(&mut heat, 61.0);
-        // The heat falls by 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if 2.9 A were allowed when the heat was
-        // added.
+        // The heat falls by 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if it was added at a limit of 2.9 A.
         let seconds = heat.held() / 0.0737 + 1.0;
         rest(&mut heat, seconds);
         prop_assert_eq!(heat.held(), 0.0);
@@ -277,7 +275,7 @@ proptest! {
 
 /// Presses a paddle into a wall at 2.9 A until the thermal budget trips. 3 A are allowed, 1 A continuously.
 fn tripped_rig() -> Rig {
-    let mut rig = Rig::pressing(290.0);
+    let mut rig = Rig::pressed_paddle(290.0);
     rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
@@ -295,20 +293,20 @@ fn a_motor_does_not_cool_faster_after_a_restart() {
     let heat = *rig.control_loop.heat();
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::Rules(raised_rules())).unwrap();
-    let mut again = Rig::bare(hardware(), raised_rules());
+    let mut again = Rig::without_device(hardware(), raised_rules());
     again.control_loop.start_heat(heat);
     again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     for rig in [&mut rig, &mut again] {
         let before = rig.control_loop.heat()[0].held();
         rig.run(4.0);
         let held = rig.control_loop.heat()[0].held();
-        assert!((before - held - 4.0).abs() < 0.1, "1 A² s per second: {before} to {held}");
+        assert!((before - held - 4.0).abs() < 0.1, "1 A² s per second: the heat falls from {before} to {held} A² s");
     }
 }
 
 #[test]
 fn sensor_noise_without_a_motor_does_not_count_as_heat() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.control_loop.start_heat([Heat::UNKNOWN; 3]);
     let mut bare = paddle();
     bare.joints[0].motor = None;
@@ -326,21 +324,21 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
     let lasts = |tighten: bool| {
         let mut rules = rules();
         rules.limits.continuous_current = [2.7; 3];
-        let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
+        let mut rig = Rig::new(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
         rig.press_wall();
         let began = rig.control_loop.steps();
         while rig.fault().is_none() {
             rig.hold_in_place(0.05);
             if tighten && rules.limits.continuous_current[0] > 0.3 {
                 rules.limits.continuous_current[0] -= 0.05;
-                rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
+                rig.execute(Command::Rules(rules)).expect("rules are tightened while armed");
             }
         }
         assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
         (rig.control_loop.steps() - began) as f32 / rig::RATE_HZ
     };
     let (plain, tightened) = (lasts(false), lasts(true));
-    assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
+    assert!(tightened <= plain, "a peak of {plain} s, tightened {tightened} s");
 }
 
 #[test]
@@ -350,7 +348,7 @@ fn unknown_heat_stays_unknown_over_a_restart() {
     let boot = |heat, current: f32| {
         let mut rules = rules();
         rules.limits.current = [current; 3];
-        let mut rig = Rig::bare(hardware(), rules);
+        let mut rig = Rig::without_device(hardware(), rules);
         rig.control_loop.start_heat(heat);
         rig.load(&strong, &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
         rig
@@ -384,10 +382,10 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     assert_eq!(rig.fault(), None, "the motor has cooled");
 }
 
-/// Returns the seconds until a paddle at 2.9 A trips, on a board that starts with this heat in its motors. 3 A are
-/// allowed, 1 A continuously.
+/// Returns the seconds until a paddle at 2.9 A trips (3 A allowed, 1 A continuously) on a board that starts with
+/// `heat`.
 fn pressing_time(heat: Heat) -> f32 {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     rig.press_wall();
@@ -407,5 +405,5 @@ fn a_reset_keeps_the_heat_and_unknown_heat_is_half_the_budget() {
     let after = pressing_time(hot);
     assert!(after < 0.3, "{after} s");
     let warm = pressing_time(Heat::UNKNOWN);
-    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
+    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s, cold {cold} s");
 }

@@ -18,7 +18,7 @@ use nalgebra::Vector2;
 const ROUNDING_NM: f32 = 1.0e-5;
 
 fn armed_rig() -> Rig {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();
     rig
 }
@@ -48,7 +48,7 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
     for (walls, push, size) in
         [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
     {
-        let mut rig = Rig::with(&five_bar(), &scene(2, walls), hardware(), gentle);
+        let mut rig = Rig::new(&five_bar(), &scene(2, walls), hardware(), gentle);
         rig.arm();
         let wall = if walls.is_empty() { 0.0 } else { 0.6 };
         for nth in 0..12_u32 {
@@ -65,7 +65,7 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
                 + Vector2::from(forces);
             let left = force_at_tip(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
             let share = (1.0 / requested.norm()).min(1.0);
-            assert!((left - requested * share).norm() < 2.0e-3, "{left} of {requested}, {both:?}, {answer:?}");
+            assert!((left - requested * share).norm() < 2.0e-3, "{left} left of {requested}, {both:?}, {answer:?}");
             assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "share {share}: {answer:?}");
         }
     }
@@ -78,18 +78,18 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
     assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
     let force = |rig: &Rig| rig.tip_force().norm();
     rig.step();
-    assert!(force(&rig) > 2.0, "{} N", force(&rig));
+    assert!(force(&rig) > 2.0, "a tip force of {} N", force(&rig));
     for (nth, limit) in [1.5_f32, 0.5].into_iter().enumerate() {
         let mut lower = rules();
         lower.limits.tip_force = limit;
-        rig.execute(Command::Rules(lower)).expect("lowered while armed");
+        rig.execute(Command::Rules(lower)).expect("limits are lowered while armed");
         rig.step();
-        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "limit {nth}: {} N", force(&rig));
+        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "limit {nth}: a tip force of {} N", force(&rig));
     }
     let mut before = force(&rig);
     for _ in 0..80 {
         rig.step();
-        assert!(force(&rig) <= before + 1.0e-4, "{before} N to {} N", force(&rig));
+        assert!(force(&rig) <= before + 1.0e-4, "the force rises from {before} N to {} N", force(&rig));
         before = force(&rig);
     }
     assert_eq!(before, 0.0);
@@ -107,7 +107,7 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
         let now = rig.torques()[0];
         // The period of a step is rounded, and an age is a sum of periods.
-        assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
+        assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "a torque of {now} N m at {age} s");
         let max_change = 0.2 * period / 0.02 * 1.001;
         assert!(before.is_none_or(|before: f32| (now - before).abs() < max_change), "{before:?} to {now} at {age} s");
         before = Some(now);
@@ -174,7 +174,7 @@ fn lost_requests_are_bridged_while_the_last_one_is_held() {
         rig.step();
         rig.step();
         let now = rig.torques()[0];
-        assert!((now - 0.1).abs() < ROUNDING_NM, "{now} after {millisecond} ms");
+        assert!((now - 0.1).abs() < ROUNDING_NM, "a torque of {now} N m after {millisecond} ms");
     }
 }
 
@@ -246,7 +246,7 @@ fn the_largest_accepted_numbers_are_harmless() {
 
 #[test]
 fn only_armed_motors_accept_force_and_disarming_ends_it() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     let answer = rig.control_loop.force(&torque_request(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
     assert_eq!(poll(&mut rig).done, ForceDone::Looked);
@@ -264,7 +264,7 @@ fn only_armed_motors_accept_force_and_disarming_ends_it() {
         let answer = poll(&mut rig);
         assert_eq!((answer.age, answer.force, answer.share), (None, [0.0; 3], 0.0));
         rig.step();
-        assert!(rig.motors_off());
+        assert!(rig.motors_are_off());
         // The motors are armed again at once, within the lease of the request.
         rig.execute(Command::Clear).unwrap();
         rig.execute(Command::Arm).unwrap();
@@ -278,7 +278,7 @@ fn only_armed_motors_accept_force_and_disarming_ends_it() {
 
 #[test]
 fn a_force_grows_with_the_ramp_after_arming() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
     assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
     // 0.1 s are a fifth of the 0.5 s ramp.
@@ -309,7 +309,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
     rig.control_loop.force(&force_request(1, 0.0, 12.0));
     rig.step();
@@ -320,7 +320,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     assert!(share < 0.9, "the requested torques must exceed 0.3 N m: {requested}");
     for i in 0..2 {
         let left = f64::from(answer.torque[i]);
-        assert!((left - share * requested[i]).abs() < 1.0e-4, "{left} of {requested}, share {share}");
+        assert!((left - share * requested[i]).abs() < 1.0e-4, "{left} is rendered of {requested}, share {share}");
     }
     assert!((f64::from(answer.share) - share).abs() < 1.0e-3);
     assert!((f64::from(answer.force[1]) - 12.0 * share).abs() < 1.0e-2);
@@ -343,7 +343,7 @@ fn the_reply_reports_the_motion_of_tip_and_joints() {
     let passed = (now.step - before.step) as f32 * now.period;
     for i in 0..2 {
         let moved = (now.tip[i] - before.tip[i]) / passed;
-        assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} for {moved} m/s");
+        assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} for a tip at {moved} m/s");
         let turned = (now.q[i] - before.q[i]) / passed;
         assert!((now.qd[i] - turned).abs() < 0.02, "{now:?}, the joint turns at {turned} rad/s");
     }
@@ -425,10 +425,10 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
             rig.step();
             let now = poll(&mut rig).force[0];
             // The force changes by 2 N in 1 ms (two steps of this rig) or by 3 N in 20 ms.
-            assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
+            assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: the force jumps from {before} to {now} N");
             before = now;
         }
-        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "request {sequence}: {before} N");
+        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "request {sequence}: a force of {before} N");
     }
 }
 
@@ -443,8 +443,7 @@ fn a_repeated_contact_continues_its_move() {
     };
     rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
-    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart the
-    // move.
+    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart it.
     for sequence in 2..22 {
         rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
@@ -455,7 +454,7 @@ fn a_repeated_contact_continues_its_move() {
 #[test]
 fn force_requests_count_as_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.1, ..rules() };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
     for sequence in 1..100 {
         assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.01)).done, ForceDone::Taken);
@@ -483,7 +482,7 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
         let seen = poll(rig).step;
         rig.step();
         let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque_request(sequence, 0.1) });
-        assert_eq!(answer.done, ForceDone::Taken, "at step {}", answer.step);
+        assert_eq!(answer.done, ForceDone::Taken, "not taken at step {}", answer.step);
         rig.run(0.05);
         let late = ForceRequest { seen: Some(seen), ..torque_request(sequence + 1, 0.1) };
         assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms is more than the lease of 30 ms");
@@ -512,7 +511,7 @@ fn only_taken_requests_and_following_polls_are_signs_of_life() {
         (torque_request(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
         (ForceRequest { hold: 0.0, fade: 0.001, seen: Some(0), ..request(2) }, ForceDone::TooOld),
     ] {
-        let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+        let mut rig = Rig::new(&five_bar(), &scene, hardware(), watched);
         rig.arm();
         for _ in 0..4 {
             assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
@@ -528,7 +527,7 @@ fn only_taken_requests_and_following_polls_are_signs_of_life() {
         }
         assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)), "{why:?}");
     }
-    let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+    let mut rig = Rig::new(&five_bar(), &scene, hardware(), watched);
     rig.arm();
     for _ in 0..4 {
         let follows = ForceRequest { hold: 0.0, fade: 0.0, seen: Some(rig.control_loop.steps()), ..request(2) };

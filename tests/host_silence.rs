@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 
 #[test]
 fn a_fault_replaces_the_entry_of_a_silent_host() {
-    let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Hold);
+    let mut rig = Rig::armed_with_rules(|rules| rules.host_action = HostAction::Hold);
     rig.run(0.6);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, Some(Fault::HostLost)));
     rig.shown_current = Some(9.0);
@@ -19,14 +19,14 @@ fn a_fault_replaces_the_entry_of_a_silent_host() {
 
 #[test]
 fn a_silent_host_has_no_effect_unless_the_rules_say_so() {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::armed_paddle();
     rig.run(5.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
 }
 
 #[test]
 fn a_heartbeat_keeps_the_motors_on() {
-    let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Disarm);
+    let mut rig = Rig::armed_with_rules(|rules| rules.host_action = HostAction::Disarm);
     for _ in 0..20 {
         rig.execute(Command::Beat(Beat::Here)).unwrap();
         rig.run(0.4);
@@ -36,7 +36,7 @@ fn a_heartbeat_keeps_the_motors_on() {
 
 #[test]
 fn clearing_restarts_the_time_of_a_silent_host() {
-    let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Hold);
+    let mut rig = Rig::armed_with_rules(|rules| rules.host_action = HostAction::Hold);
     rig.run(0.6);
     rig.execute(Command::Clear).unwrap();
     rig.run(0.3);
@@ -57,8 +57,7 @@ impl Rig {
         Press { holder: 1, seen: self.control_loop.steps() }
     }
 
-    /// Presses the key for `tenths` tenths of a second, with a message at the start of each tenth. Returns the last
-    /// message.
+    /// Presses the key for `tenths` tenths of a second, with a message at the start of each. Returns the last message.
     fn hold_key(&mut self, tenths: u32) -> Press {
         let mut press = self.press();
         for _ in 0..tenths {
@@ -70,11 +69,10 @@ impl Rig {
     }
 }
 
-/// Returns a rig that was armed with a key, and the last message of the key. The host time is the longest that the
-/// rules allow.
+/// Returns a rig that was armed with a key and has the longest host time, and the last message of the key.
 fn armed_with_key(action: HostAction) -> (Rig, Press) {
     let host_seconds = Rules::HOST_SECONDS.1;
-    let mut rig = Rig::armed_with(|rules| (rules.host_action, rules.host_seconds) = (action, host_seconds));
+    let mut rig = Rig::armed_with_rules(|rules| (rules.host_action, rules.host_seconds) = (action, host_seconds));
     let press = rig.hold_key(20);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None), "{action:?}");
     (rig, press)
@@ -107,7 +105,7 @@ fn motors_go_off_without_new_messages_of_the_key() {
 
 #[test]
 fn a_key_may_not_be_silent_longer_than_a_host() {
-    let mut rig = Rig::armed_with(|rules| rules.host_seconds = 0.2);
+    let mut rig = Rig::armed_with_rules(|rules| rules.host_seconds = 0.2);
     rig.hold_key(5);
     rig.run(0.11);
     assert_eq!(rig.fault(), Some(Fault::KeyReleased));
@@ -126,7 +124,7 @@ fn a_released_key_disarms_without_a_fault() {
 }
 
 fn disarmed_rig() -> Rig {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::armed_paddle();
     rig.execute(Command::Disarm).unwrap();
     rig
 }
@@ -158,14 +156,13 @@ fn a_press_counts_from_its_step_and_an_old_press_does_not_arm() {
     rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE_HZ, ..far_wall() }, true).unwrap();
     rig.settle();
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
-    assert!(rig.motors_off());
+    assert!(rig.motors_are_off());
     rig.execute(Command::ArmHeld(rig.press())).unwrap();
     rig.hold_key(10);
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// The link is slow in both directions. The tool sees the board one delay late, and the board learns about the key two
-/// delays late.
+/// The link delays both directions. The tool sees the board one delay late, and the board sees the key two delays late.
 #[test]
 fn motors_are_off_half_a_second_after_a_release_on_any_link() {
     let steps = |seconds: f32| (seconds * RATE_HZ) as u32;
@@ -184,7 +181,7 @@ fn motors_are_off_half_a_second_after_a_release_on_any_link() {
             while let Some((_, press)) = in_transit.pop_front_if(|(due, _)| *due <= now) {
                 match armed {
                     None if rig.execute(Command::ArmHeld(press)).is_ok() => armed = Some(now),
-                    None => assert!(rig.motors_off()),
+                    None => assert!(rig.motors_are_off()),
                     Some(_) => rig.beat(Beat::Held(press)),
                 }
             }
@@ -196,9 +193,9 @@ fn motors_are_off_half_a_second_after_a_release_on_any_link() {
         let case = format!("{at_first} s, {later} s");
         assert_eq!(armed.is_some(), 2.0 * at_first < KEY_SECONDS, "{case}");
         if let Some(off) = off {
-            assert!(off <= released + steps(KEY_SECONDS) + 1, "{case}: {} steps late", off - released);
+            assert!(off <= released + steps(KEY_SECONDS) + 1, "{case}: motors off {} steps late", off - released);
             assert_eq!(off > released, 2.0 * later < KEY_SECONDS, "{case}: a fast link must keep the motors on");
         }
-        assert_eq!((armed.is_some(), rig.motors_off()), (off.is_some(), true), "{case}");
+        assert_eq!((armed.is_some(), rig.motors_are_off()), (off.is_some(), true), "{case}");
     }
 }

@@ -83,7 +83,7 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls() {
         let step = controller.step(&[counts, 0]);
         let x = f32::from(counts as i16) * device.joints[0].radians_per_count * 0.01;
         let force = -k * n[0] * x;
-        assert!((step.wall_force / force - 1.0).abs() < 1e-3, "{} is not {force} N", step.wall_force);
+        assert!((step.wall_force / force - 1.0).abs() < 1e-3, "the wall force {} is not {force} N", step.wall_force);
         // The torques are Jᵀ n f, or M E f/Wrr with E = J⁻¹ n. The inertias at the tip are 1 and 0.75 kg, so Wrr is
         // 0.36 + 0.64 · 0.75 = 0.84 kg.
         let expected = match feed_forward {
@@ -91,7 +91,7 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls() {
             _ => [0.01 * n[0] * force / 0.84, 0.02 * 0.75 * n[1] * force / 0.84],
         };
         for (found, expected) in step.torque.iter().zip(expected) {
-            assert!((found / expected - 1.0).abs() < 1e-3, "{feed_forward:?}: {found} is not {expected} N m");
+            assert!((found / expected - 1.0).abs() < 1e-3, "{feed_forward:?}: torque {found} is not {expected} N m");
         }
     }
 }

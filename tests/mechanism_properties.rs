@@ -3,7 +3,7 @@
 //! hand-written kernel of the control step with the matrices that it replaces.
 
 use crate::common::bodies::{derivative, dynamics, place_bodies};
-use crate::common::{Draw, NUMBERS_PER_CASE, cases, determinant, inverse, random_device};
+use crate::common::{NUMBERS_PER_CASE, TestNumbers, determinant, inverse, property_config, random_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
@@ -33,7 +33,7 @@ struct Case<M, const N: usize> {
 }
 
 impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
-    fn new(m: M, device: Description, draw: &mut Draw<'_>) -> Option<Self> {
+    fn new(m: M, device: Description, draw: &mut TestNumbers<'_>) -> Option<Self> {
         let mut vector = |bound: f64| SVector::<f64, N>::from(draw.list::<N>(-bound, bound));
         let (q, qd, v) = (vector(3.2), vector(6.0), vector(3.0));
         let mut n = vector(1.0);
@@ -63,7 +63,7 @@ fn check_equal<const R: usize, const C: usize>(
     floor: f64,
 ) -> TestResult {
     let error = (a - b).amax() / b.amax().max(floor);
-    prop_assert!(error <= tolerance, "{name}: {a} against {b}, error {error:e}");
+    prop_assert!(error <= tolerance, "{name}: {a} differs from {b} by {error:e}");
     Ok(())
 }
 
@@ -163,7 +163,7 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
         qd += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
     }
     let drift = (energy(&q, &qd) / before - 1.0).abs();
-    prop_assert!(drift < 1e-7, "energy changed by {drift:e}");
+    prop_assert!(drift < 1e-7, "the energy changes by {drift:e}");
     Ok(())
 }
 
@@ -289,7 +289,7 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
 fn check_every_property<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     device: Description,
-    draw: &mut Draw<'_>,
+    draw: &mut TestNumbers<'_>,
 ) -> TestResult {
     let Some(case) = Case::new(m, device, draw) else {
         return Err(TestCaseError::reject("too near a singularity"));
@@ -308,8 +308,8 @@ fn check_every_property<M: Mechanism<f64, N>, const N: usize>(
     torque_does_not_depend_on_the_admissible_directions(&case)
 }
 
-/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32), as a share of the
-/// largest f64 entry.
+/// Computes the board's error of the torque of (4) (f32, minimax sines, rounded angles), as a share of its largest
+/// entry.
 fn board_error<A, B, const N: usize>(exact: &A, board: &B, case: &Case<A, N>) -> f64
 where
     A: Mechanism<f64, N>,
@@ -332,7 +332,7 @@ fn check_board_error<A, B, const N: usize>(
     exact: A,
     board: AnyMechanism<f32>,
     device: Description,
-    draw: &mut Draw<'_>,
+    draw: &mut TestNumbers<'_>,
     as_board: impl Fn(AnyMechanism<f32>) -> Option<B>,
 ) -> TestResult
 where
@@ -349,7 +349,7 @@ where
 }
 
 fn check_properties(kind: Kind, numbers: &[f64]) -> TestResult {
-    let draw = &mut Draw::new(numbers);
+    let draw = &mut TestNumbers::new(numbers);
     let device = random_device(kind, draw);
     let Ok(mechanism) = AnyMechanism::<f64>::new(&device) else {
         return Err(TestCaseError::reject("the mechanism cannot close"));
@@ -358,7 +358,7 @@ fn check_properties(kind: Kind, numbers: &[f64]) -> TestResult {
 }
 
 fn check_board(kind: Kind, numbers: &[f64]) -> TestResult {
-    let draw = &mut Draw::new(numbers);
+    let draw = &mut TestNumbers::new(numbers);
     let device = random_device(kind, draw);
     let (Ok(exact), Ok(board)) = (AnyMechanism::<f64>::new(&device), AnyMechanism::<f32>::new(&device)) else {
         return Err(TestCaseError::reject("the mechanism cannot close"));
@@ -379,7 +379,7 @@ fn check_board(kind: Kind, numbers: &[f64]) -> TestResult {
 macro_rules! properties {
     ($($kind:ident: $exact:ident $board:ident;)*) => {
         proptest! {
-            #![proptest_config(ProptestConfig { max_global_rejects: 8192, ..cases(96) })]
+            #![proptest_config(ProptestConfig { max_global_rejects: 8192, ..property_config(96) })]
             $(
                 #[test]
                 fn $exact(numbers in prop::collection::vec(0.0..1.0, NUMBERS_PER_CASE)) {

@@ -22,7 +22,7 @@ fn largest_current_and_fault(rig: &mut Rig) -> (f32, Option<Fault>) {
 fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
     for rate in RATES_HZ {
         for shown in [0.0_f32, 1.0, -2.0] {
-            let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
+            let mut rig = Rig::pressed_paddle_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.shown_current = Some(shown);
             let (largest_current, fault) = largest_current_and_fault(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
@@ -35,7 +35,7 @@ fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
 #[test]
 fn an_open_winding_is_found_when_it_should_carry_current() {
     for rate in RATES_HZ {
-        let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
+        let mut rig = Rig::pressed_paddle_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
         rig.resistance = f32::INFINITY;
         let (_, fault) = largest_current_and_fault(&mut rig);
         assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
@@ -47,7 +47,7 @@ fn a_sound_motor_never_trips() {
     // Hot and cold windings hit and leave walls at speed, at every rate.
     for rate in RATES_HZ {
         for resistance in [1.7, 2.0, 2.8] {
-            let mut rig = Rig::ready(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
+            let mut rig = Rig::homed_paddle(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.resistance = resistance;
             rig.arm();
             for (angle, speed) in [(-0.15, 8.0), (0.5, 8.0), (-0.12, 15.0), (-0.14, 0.5), (0.2, 15.0)] {
@@ -63,7 +63,7 @@ fn a_press_at_a_low_torque_limit_is_not_an_encoder_stall() {
     // The torque limit is a tenth of the motor's torque, so a long press at the limit does not prove a lost encoder.
     let mut rules = rules();
     rules.limits.torque = [0.03; 3];
-    let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
+    let mut rig = Rig::new(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
     rig.arm();
     rig.turn(0, -0.15, 1.0);
     rig.run(6.0);
@@ -73,7 +73,7 @@ fn a_press_at_a_low_torque_limit_is_not_an_encoder_stall() {
 #[test]
 fn a_warm_winding_pressed_against_a_wall_does_not_trip() {
     // Copper at 100 °C has 1.35 times the data sheet's 2 ohm.
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.005, 250.0)]));
     rig.resistance = 2.7;
     rig.arm();
     rig.turn(0, -0.15, 1.0);
@@ -87,7 +87,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
     let mut board = hardware();
     board.bus_sensed = false;
     board.bridge.current_sensed = false;
-    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
+    let mut rig = Rig::new(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = f32::NAN;
     rig.shown_current = Some(f32::NAN);
     rig.arm();
@@ -99,7 +99,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
 fn a_board_without_bus_voltage_reports_no_lost_encoder() {
     let mut board = hardware();
     board.bus_sensed = false;
-    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
+    let mut rig = Rig::new(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = 0.0;
     rig.shown_current = Some(2.0);
     rig.execute(Command::Arm).unwrap();

@@ -1,6 +1,6 @@
 //! Tests the check of the control loop's pace (every 20 ms, as in the firmware) with loops of known rate.
 
-use crate::common::cases;
+use crate::common::property_config;
 use haptic_bridge::safety::pace::{Pace, Verdict};
 use proptest::prelude::*;
 
@@ -36,7 +36,7 @@ fn a_rate_error_of_a_fifth_is_found_within_80_steps() {
                 "{rate} Hz: {found:?}"
             );
         }
-        assert_eq!(first_failure(rate, 0.8, true, |_| 0), None, "{rate} Hz, excused");
+        assert_eq!(first_failure(rate, 0.8, true, |_| 0), None, "{rate} Hz: an excused loop failed");
     }
 }
 
@@ -54,7 +54,7 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
                 unfed = if kept { 0 } else { unfed + CHECK_INTERVAL_US };
                 longest = longest.max(unfed);
             }
-            assert!(longest > 500_000, "{rate} Hz times {share}: {longest} us");
+            assert!(longest > 500_000, "{rate} Hz times {share}: not fed for {longest} us");
         }
     }
 }
@@ -106,7 +106,7 @@ fn no_number_makes_the_check_panic() {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(property_config(256))]
 
     /// Checks come up to a fifth of their interval late, like checks in a task.
     #[test]

@@ -2,8 +2,7 @@
 //! and the next save must work.
 //!
 //! The flash is a model of the board's two 16 KB sectors. An erase sets a sector to ones. A write works word by word
-//! and can only clear bits. Each operation is cut in two ways: before it begins, or halfway (half a sector erased, half
-//! a word written).
+//! and can only clear bits. Each operation is cut at its start, or halfway (half a sector erased, half a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use haptic_bridge::board::storage::{LONGEST_STORED, Storage, StorageError};
@@ -15,8 +14,8 @@ const FLASH_RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Cut {
-    Before,
-    Within,
+    AtStart,
+    Halfway,
 }
 
 #[derive(Clone)]
@@ -54,11 +53,11 @@ impl Sectors {
     }
 
     /// Counts an operation. Returns the cut that acts on this operation, or `None` if the operation is completed.
-    fn operate(&mut self) -> Option<Cut> {
+    fn begin_operation(&mut self) -> Option<Cut> {
         let number = self.operations;
         self.operations += 1;
         if self.is_off {
-            return Some(Cut::Before);
+            return Some(Cut::AtStart);
         }
         match self.cut {
             Some((at, cut)) if at == number => {
@@ -108,11 +107,11 @@ impl NorFlash for Sectors {
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), PowerCut> {
         for sector in (from as usize - FLASH_START..to as usize - FLASH_START).step_by(SECTOR_BYTES) {
-            let cut = self.operate();
+            let cut = self.begin_operation();
             self.erases += 1;
             let erased = match cut {
-                Some(Cut::Before) => 0,
-                Some(Cut::Within) => SECTOR_BYTES / 2,
+                Some(Cut::AtStart) => 0,
+                Some(Cut::Halfway) => SECTOR_BYTES / 2,
                 None => SECTOR_BYTES,
             };
             self.bytes[sector..sector + erased].fill(0xFF);
@@ -127,10 +126,10 @@ impl NorFlash for Sectors {
         let from = offset as usize - FLASH_START;
         for (i, word) in bytes.chunks(4).enumerate() {
             let at = from + 4 * i;
-            let cut = self.operate();
+            let cut = self.begin_operation();
             let written = match cut {
-                Some(Cut::Before) => 0,
-                Some(Cut::Within) => 2,
+                Some(Cut::AtStart) => 0,
+                Some(Cut::Halfway) => 2,
                 None => 4,
             };
             for (cell, byte) in self.bytes[at..].iter_mut().zip(&word[..written]) {
@@ -183,14 +182,14 @@ fn flash_after_saves(generations: u8) -> Sectors {
     (0..generations).fold(Sectors::new(), |flash, generation| save(flash, &values_of(generation))).reboot()
 }
 
-/// Cuts the power at every operation of the next save and checks the settings. Returns the number of operations and the
-/// number of erases.
+/// Cuts the power at every operation of the next save and checks the settings. Returns the counts of operations and
+/// erases.
 fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
     let complete = save(flash.clone(), new);
     let (operations, erases) = (complete.operations, complete.erases);
     assert_eq!(read(complete.reboot()).0, *new);
     for operation in 0..operations {
-        for cut in [Cut::Before, Cut::Within] {
+        for cut in [Cut::AtStart, Cut::Halfway] {
             let mut trial = flash.clone();
             trial.cut = Some((operation, cut));
             let (found, after) = read(save(trial, new).reboot());
@@ -201,9 +200,9 @@ fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize
                     "operation {operation}, {cut:?}: setting {key} has neither its old nor its new value"
                 );
             }
-            if cut == Cut::Within {
+            if cut == Cut::Halfway {
                 let (saved, _) = read(save(after.reboot(), new).reboot());
-                assert_eq!(saved, *new, "operation {operation}: the next save");
+                assert_eq!(saved, *new, "operation {operation}: the next save failed");
             }
         }
     }
@@ -213,7 +212,7 @@ fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize
 #[test]
 fn a_cut_in_the_first_save_of_a_new_board_is_harmless() {
     let (operations, _) = check_every_cut(&Sectors::new(), &Values::new(), &values_of(1));
-    assert!(operations > 300, "{operations}");
+    assert!(operations > 300, "only {operations} operations");
 }
 
 #[test]
@@ -328,21 +327,21 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
     assert_eq!(read(complete.reboot()).0, *new);
     let mut decided = 0;
     for operation in 0..operations {
-        for cut in [Cut::Before, Cut::Within] {
+        for cut in [Cut::AtStart, Cut::Halfway] {
             let mut trial = flash.clone();
             trial.cut = Some((operation, cut));
             let (found, after) = read(save_together(trial, new).reboot());
             assert!(found == *old || found == *new, "operation {operation}, {cut:?}: some settings are old, some new");
             decided += usize::from(found == *new);
             // A second cut, while the board completes the first save, must not change the result.
-            if operation % 7 == 0 && cut == Cut::Within {
+            if operation % 7 == 0 && cut == Cut::Halfway {
                 let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
-                again.cut = Some((operation % 50, Cut::Within));
+                again.cut = Some((operation % 50, Cut::Halfway));
                 let mut buffer = [0; LONGEST_STORED];
                 let mut storage = Storage::new(&mut again, FLASH_RANGE, &mut buffer);
                 let _ = storage.read(1);
-                assert_eq!(read(again.reboot()).0, found, "operation {operation}: a second cut");
-                assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save");
+                assert_eq!(read(again.reboot()).0, found, "operation {operation}: a second cut changed the settings");
+                assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save failed");
             }
         }
     }
@@ -353,7 +352,7 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
 fn settings_committed_together_are_all_old_or_all_new() {
     for (flash, old) in [(Sectors::new(), Values::new()), (flash_after_saves(3), values_of(2))] {
         let (operations, decided) = check_all_or_none(&flash, &old, &values_of(9));
-        assert!(operations > 700, "{operations}");
+        assert!(operations > 700, "only {operations} operations");
         assert!(
             decided > operations / 4 && decided < 2 * operations,
             "the new values were read after {decided} cuts of {operations} operations"
@@ -395,7 +394,7 @@ fn staged_settings_without_a_commit_are_not_used() {
 fn a_commit_reports_the_settings_in_force_after_a_flash_failure() {
     let (old, new) = (values_of(0), values_of(9));
     let (mut kept, mut completed) = (0, 0);
-    for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
+    for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::AtStart), (operation, Cut::Halfway)]) {
         let mut flash = Sectors { cut: Some((operation, cut)), keeps_power: true, ..flash_after_saves(1).reboot() };
         let mut buffer = [0; LONGEST_STORED];
         let mut storage = Storage::new(&mut flash, FLASH_RANGE, &mut buffer);
@@ -450,7 +449,7 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
     }
     let saved = save(six.clone(), &values_of(7)).operations;
     for operation in (0..saved).step_by(3) {
-        flashes.push(save(Sectors { cut: Some((operation, Cut::Within)), ..six.clone() }, &values_of(7)).reboot());
+        flashes.push(save(Sectors { cut: Some((operation, Cut::Halfway)), ..six.clone() }, &values_of(7)).reboot());
     }
     let count = flashes.len();
     for (nth, mut flash) in flashes.into_iter().enumerate() {
@@ -468,8 +467,7 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
     }
 }
 
-/// After the start a read repairs nothing: neither entries nor sectors with an end mark but no start mark, which a
-/// start would erase.
+/// After the start a read repairs no entry, and no sector with an end mark but no start mark (a start would erase it).
 #[test]
 fn a_read_does_not_repair_damage_after_the_start() {
     let mut buffer = [0; LONGEST_STORED];
@@ -495,7 +493,7 @@ fn a_staged_entry_damaged_after_the_commit_is_reported() {
     let complete = save_together(flash_after_saves(1), &values_of(9));
     let mut reported = 0;
     for operation in (0..complete.operations).rev() {
-        let cut = Sectors { cut: Some((operation, Cut::Before)), ..flash_after_saves(1) };
+        let cut = Sectors { cut: Some((operation, Cut::AtStart)), ..flash_after_saves(1) };
         let flash = save_together(cut, &values_of(9)).reboot();
         if read(flash.clone()).0 != values_of(9) {
             break;

@@ -1,6 +1,6 @@
 //! Frozen and tabulated mass matrices are accurate against the closed form, and damaged ones are refused.
 
-use crate::common::device_file::shipped;
+use crate::common::device_file::shipped_device;
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
@@ -13,7 +13,7 @@ use nalgebra::SVector;
 const DEVICES: [&str; 4] = ["haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"];
 
 fn mechanism(name: &str) -> AnyMechanism<f64> {
-    AnyMechanism::new(&shipped(name)).expect("a sound device")
+    AnyMechanism::new(&shipped_device(name)).expect("a sound device")
 }
 
 /// Returns the largest difference of M E between a table and the closed form, as a share of the largest entry, on a
@@ -60,7 +60,7 @@ fn worst_errors(interpolation: Interpolation, points: u8) -> Vec<f64> {
     DEVICES
         .iter()
         .map(|name| {
-            let home = shipped(name).home.expect("a shipped device has a home");
+            let home = shipped_device(name).home.expect("a shipped device has a home");
             with_mechanism!(&mechanism(name), m => worst_error(m, &home, interpolation, points))
         })
         .collect()
@@ -73,7 +73,7 @@ fn the_error_of_a_bilinear_table_is_of_second_order() {
     {
         // Half the spacing divides a second-order error by four. Measured are 3.38 to 3.81, because of the fourth
         // derivatives. A first-order error would give 2, a third-order error 8.
-        assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "{coarse} against {fine}");
+        assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "errors {coarse} (coarse) and {fine} (fine)");
     }
 }
 
@@ -82,7 +82,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_table() {
     for (linear, cubic) in
         worst_errors(Interpolation::Bilinear, 8).into_iter().zip(worst_errors(Interpolation::Bicubic, 10))
     {
-        assert!(cubic < 0.2 * linear, "{cubic} against {linear}");
+        assert!(cubic < 0.2 * linear, "errors {cubic} (bicubic) and {linear} (bilinear)");
     }
 }
 
@@ -90,7 +90,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_table() {
 fn a_table_that_fits_the_memory_has_an_error_below_a_thousandth() {
     // A table of 10 x 10 points fits even for a mechanism with six distinct entries.
     for error in worst_errors(Interpolation::Bicubic, 10) {
-        assert!(error < 1.0e-3, "{error}");
+        assert!(error < 1.0e-3, "an error of {error}");
     }
 }
 
@@ -105,7 +105,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
         let q = SVector::from(q);
         let pose = m.pose::<Libm>(&q);
         let (found, exact) = (table.shaping(&m, &q, &pose, &n).me, m.shaping(&pose, &n).me);
-        assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
+        assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found}, but the closed form is {exact}");
     }
     // NaN and infinite angles must not cause a panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
@@ -189,7 +189,7 @@ fn a_table_needs_all_chunks_in_order_and_unchanged() {
 
 #[test]
 fn a_table_is_accurate_in_the_boards_precision() {
-    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped("haply-2diy")) else { panic!() };
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped_device("haply-2diy")) else { panic!() };
     let AnyMechanism::FiveBar(exact) = mechanism("haply-2diy") else { panic!() };
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
     let mut values = vec![0.0; grid.values(3)];
@@ -201,6 +201,6 @@ fn a_table_is_accurate_in_the_boards_precision() {
         let q = SVector::from([a, b]);
         let right = exact.shaping(&exact.pose::<Libm>(&q), &SVector::from([0.6, 0.8])).me;
         let error = (found.map(f64::from) - right).amax() / right.amax();
-        assert!(error < 1.0e-4, "{error}");
+        assert!(error < 1.0e-4, "an error of {error}");
     }
 }

@@ -12,7 +12,7 @@ use nalgebra::Vector2;
 
 /// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. The motor may make 0.3 N m, which is 3 N.
 fn pressed_paddle(depth: f64) -> Rig {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::armed_paddle();
     rig.turn(0, -(0.05 + depth) / 0.1, 2.0);
     rig.settle();
     rig
@@ -29,8 +29,8 @@ fn a_wall_within_the_torque_limit_is_rendered_completely() {
 #[test]
 fn a_wall_beyond_the_torque_limit_is_recorded_as_reduced() {
     let frame = pressed_paddle(0.008).control_loop.frame();
-    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "requested: {frame:?}");
-    assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
+    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "the requested force is not 8 N: {frame:?}");
+    assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m are not 3 N: {frame:?}");
     assert_eq!(frame.saturation(0), 1, "the motor is marked");
     assert_eq!((frame.saturation(1), frame.saturation(2)), (0, 0), "no other motor is marked");
 }
@@ -54,7 +54,7 @@ fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
     let off = rig.control_loop.frame();
     assert!(off.at.walls.wall_force > 1.9 && off.motors.rendered_force == 0.0, "{off:?}");
 
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+    let mut rig = Rig::homed_paddle(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
     // After 0.03 s of the 0.5 s ramp the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
@@ -72,7 +72,7 @@ fn the_rendered_force_is_the_static_force_of_the_torques() {
         let mut askew = wall(0.0, 3_000.0);
         askew.surface = Surface::Plane(Plane { point, normal: [0.28, 0.96, 0.0] });
         askew.feed_forward = feed_forward;
-        let mut rig = Rig::with(&five_bar(), &scene(2, &[askew]), hardware(), rules());
+        let mut rig = Rig::new(&five_bar(), &scene(2, &[askew]), hardware(), rules());
         rig.arm();
         let mut saturated = 0;
         for _ in 0..40 {
@@ -94,7 +94,7 @@ fn the_rendered_force_is_the_static_force_of_the_torques() {
             // 1e-4 covers the f32 rounding of the step (2e-5 of the torque) and of the differences (1e-7).
             assert!(
                 (rendered - expected).abs() < 1e-4 * (1.0 + expected.abs()),
-                "{rendered} for {expected}: {frame:?}"
+                "rendered {rendered} N, expected {expected} N: {frame:?}"
             );
             if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;

@@ -26,7 +26,7 @@ const CASES: [Case; 4] = [
 
 struct StepEffect {
     /// Rendered acceleration n·p̈ + ṅ·ṗ, m/s².
-    rendered: f64,
+    rendered_acceleration: f64,
     /// The wall's force, N.
     force: f64,
     /// Eᵀ b, the paper's zr, N.
@@ -36,7 +36,7 @@ struct StepEffect {
     /// Wrr with φ held, kg.
     w_rr: f64,
     /// Accelerations of the coordinates that can be held (joints 0 to 2 and φ), rad/s².
-    held: [f64; 4],
+    qdd: [f64; 4],
     /// Torque along the null motion, N m.
     null_torque: f64,
 }
@@ -88,17 +88,17 @@ fn step_effect(
         let row = jacobian.transpose() * n;
         let null = inverse(&jacobian) * SVector::<f64, N>::from_fn(|i, _| if i + 1 == N { 1.0 } else { 0.0 });
         StepEffect {
-            rendered: n.dot(&acceleration) + n_rate.dot(&velocity),
+            rendered_acceleration: n.dot(&acceleration) + n_rate.dot(&velocity),
             force: step.wall_force,
             z_r: e.dot(&b),
             w_eff: 1.0 / row.dot(&(inverse(&mass) * row)),
             w_rr: e.dot(&(mass * e)),
-            held: core::array::from_fn(|k| if k < 3 { *qdd.get(k).unwrap_or(&0.0) } else { qdd.sum() }),
+            qdd: core::array::from_fn(|k| if k < 3 { *qdd.get(k).unwrap_or(&0.0) } else { qdd.sum() }),
             null_torque: null.dot(&step.torque),
         }
     }
     // Gravity is off, so that only the walls' forces act.
-    let description = Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped(name)) };
+    let description = Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped_device(name)) };
     let device = Device::<f64>::new("test", &description).expect("a sound device");
     let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
     with_mechanism!(&mechanism, m => run(*m, &device, q, qd, &surface, &with))
@@ -128,11 +128,11 @@ fn only_the_rendered_force_accelerates_a_moving_tip() {
                 |tip, task| if round { sphere_near_tip(tip, task) } else { plane_near_tip(normal)(tip, task) };
             let force_error = |terms| {
                 let o = step_effect(name, q, qd, surface, |scene| scene.velocity_terms = terms);
-                (o.w_rr * o.rendered - o.force, o.z_r)
+                (o.w_rr * o.rendered_acceleration - o.force, o.z_r)
             };
             // The bound of 2e-3 N allows for the joint filters, which the tip's acceleration disturbs.
             let (error, _) = force_error(VelocityTerms::Rendered);
-            assert!(error.abs() < 2e-3, "{name}, round {round}: {error} N");
+            assert!(error.abs() < 2e-3, "{name}, round {round}: a force error of {error} N");
             if !round {
                 let (error, z_r) = force_error(VelocityTerms::Paper);
                 assert!((error + z_r).abs() < 2e-3, "{name}: (4) leaves {error} N, zr is {z_r} N");
@@ -154,7 +154,7 @@ fn a_gain_changes_the_inertia_and_is_limited_below_its_pole() {
             let pole = 1.0 / coupling;
             let effective = gain.min(0.5 * (1.0 + pole));
             limited += usize::from(effective < gain);
-            let rendered = o.force / o.rendered;
+            let rendered = o.force / o.rendered_acceleration;
             let expected = o.w_eff / (1.0 - effective * coupling);
             assert!((rendered / expected - 1.0).abs() < 1e-6, "{name}, gain {gain}: {rendered} kg, not {expected}");
             assert!(rendered > 0.0 && rendered < 2.0 * o.w_rr * (1.0 + 1e-6), "{name}, gain {gain}: {rendered} kg");
@@ -169,10 +169,10 @@ fn the_demos_wall_has_the_documented_inertias() {
     let (name, q, _, normal) = CASES[0];
     let inertia = |gain| {
         let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.feed_forward_gain = gain);
-        o.force / o.rendered
+        o.force / o.rendered_acceleration
     };
     for (gain, kilograms) in [(0.0, 0.211), (1.0, 0.265), (2.0, 0.357)] {
-        assert!((inertia(gain) - kilograms).abs() < 1e-3, "gain {gain}: {} kg", inertia(gain));
+        assert!((inertia(gain) - kilograms).abs() < 1e-3, "gain {gain}: an inertia of {} kg", inertia(gain));
     }
 }
 
@@ -188,7 +188,7 @@ fn a_gain_beyond_its_limits_is_refused() {
     assert_eq!(scene(3.0, 1), Ok(()));
     assert_eq!(scene(1.0, 2), Ok(()));
     for (gain, walls) in [(3.01, 1), (-0.1, 1), (f64::NAN, 1), (1.5, 2)] {
-        assert_eq!(scene(gain, walls), Err(SceneError::FeedForwardGain), "{gain} with {walls} walls");
+        assert_eq!(scene(gain, walls), Err(SceneError::FeedForwardGain), "gain {gain} with {walls} walls");
     }
 }
 
@@ -209,12 +209,14 @@ fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
         for speeds in [[0.0; 3], qd] {
             let o = step_effect(name, q, speeds, plane_near_tip(normal), |scene| scene.admissible = admissible);
             match held {
-                Some(coordinate) => assert!(o.held[coordinate].abs() < 0.02, "{admissible:?}: {:?}", o.held),
+                Some(coordinate) => {
+                    assert!(o.qdd[coordinate].abs() < 0.02, "{admissible:?}: {:?}", o.qdd)
+                }
                 None => assert!(o.null_torque.abs() < 1e-6, "{admissible:?}: {} N m", o.null_torque),
             }
             let expected = o.force / (ratio * o.w_eff);
-            let error = (o.rendered - expected).abs();
-            assert!(error < 0.01 * expected.abs(), "{admissible:?}: {} m/s², not {expected}", o.rendered);
+            let error = (o.rendered_acceleration - expected).abs();
+            assert!(error < 0.01 * expected.abs(), "{admissible:?}: {} m/s², not {expected}", o.rendered_acceleration);
         }
     }
 }
@@ -228,7 +230,7 @@ fn a_joint_without_null_motion_is_released_smoothly() {
         let share = |third: f64| {
             let q = [0.5, 0.8, third];
             let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
-            let share = o.rendered / o.force * o.w_eff;
+            let share = o.rendered_acceleration / o.force * o.w_eff;
             assert!(share > 0.0 && share <= 1.0 + 1e-9, "{admissible:?} at {q:?}: Weff/Wrr is {share}");
             share
         };
@@ -241,6 +243,6 @@ fn a_joint_without_null_motion_is_released_smoothly() {
         };
         let (coarse, at) = steepest(-2.5, 0.01, 500);
         let (fine, _) = steepest(at, 0.0002, 50);
-        assert!(fine < 0.1 * coarse.max(0.5), "{admissible:?} near {at}: jumps by {fine} of {coarse}");
+        assert!(fine < 0.1 * coarse.max(0.5), "{admissible:?} near {at}: the share jumps by {fine} of {coarse}");
     }
 }

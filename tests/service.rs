@@ -48,12 +48,12 @@ fn far_wall() -> Scene<f32> {
     rig::scene(1, &[rig::wall(-0.05, 500.0)])
 }
 
-fn board_in(now: BoardState) -> Board {
+fn board_in_state(now: BoardState) -> Board {
     let device = rig::device(&rig::paddle());
     let mut board = match now {
         BoardState::Bare => return Board::new(true),
-        BoardState::Unhomed => return Board::ready(true, &device, &far_wall()),
-        _ => Board::ready(false, &device, &far_wall()),
+        BoardState::Unhomed => return Board::with_device(true, &device, &far_wall()),
+        _ => Board::with_device(false, &device, &far_wall()),
     };
     match now {
         BoardState::Armed => board.ask::<Arm>(&()).unwrap().unwrap(),
@@ -85,7 +85,7 @@ fn gains(wall: u8, stiffness: f32) -> GainsRequest {
     GainsRequest { wall: Some(gains), estimator: None }
 }
 
-type Ask = fn(&mut Board) -> Result<(), Refusal>;
+type Sender = fn(&mut Board) -> Result<(), Refusal>;
 
 macro_rules! ask {
     ($Endpoint:ident) => {
@@ -97,7 +97,7 @@ macro_rules! ask {
 }
 
 /// Name of a request, a function that sends the request, and the reply in each of [`STATES`].
-type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
+type RequestCase = (&'static str, Sender, [Result<(), Refusal>; 6]);
 
 /// Session of the tool that changes settings in these tests.
 const SESSION: u32 = 4;
@@ -126,8 +126,7 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
-/// Returns the refusal of [`rules_with_share`] with a share above 1. The refusal names the first entry of the first
-/// limit.
+/// Returns the refusal of [`rules_with_share`] with a share above 1. It names the first entry of the first limit.
 fn too_high_refusal(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
@@ -205,7 +204,7 @@ fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, R
 fn every_request_in_every_state_has_the_right_reply() {
     for (name, ask, answers) in request_cases() {
         for (now, expected) in STATES.into_iter().zip(answers) {
-            let mut board = board_in(now);
+            let mut board = board_in_state(now);
             let before = (configuration(&mut board), board.state());
             let answer = ask(&mut board);
             assert_eq!(answer, expected, "{name} while {now:?}");
@@ -222,7 +221,7 @@ fn every_request_in_every_state_has_the_right_reply() {
 #[test]
 fn reading_requests_change_no_state() {
     for now in STATES {
-        let mut board = board_in(now);
+        let mut board = board_in_state(now);
         let before = (configuration(&mut board), board.state());
         board.ask::<GetInfo>(&()).unwrap();
         board.ask::<GetDetails>(&()).unwrap();
@@ -249,7 +248,7 @@ fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
         [|_| Command::MayCheckPolarity, |_| Command::CheckPolarity],
     ];
     for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
-        let mut board = board_in(now);
+        let mut board = board_in_state(now);
         let press = press(&mut board);
         let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
         let answer = board.machine.control_loop.execute(may(press)).0;
@@ -271,8 +270,8 @@ fn the_tests_of_requests_cover_every_endpoint() {
 
 #[test]
 fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
-    type Set = fn(&mut Limits, usize, f32);
-    let sets: [(Limit, f32, Set); 6] = [
+    type LimitSetter = fn(&mut Limits, usize, f32);
+    let sets: [(Limit, f32, LimitSetter); 6] = [
         (Limit::Torque, 5.0, |limits, axis, to| limits.torque[axis] = to),
         (Limit::Current, 10.0, |limits, axis, to| limits.current[axis] = to),
         (Limit::ContinuousCurrent, 10.0, |limits, axis, to| limits.continuous_current[axis] = to),
@@ -280,19 +279,19 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
         (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
-    fn refused(answer: Result<(), Refusal>) -> BadLimit {
+    fn limit_of(answer: Result<(), Refusal>) -> BadLimit {
         match answer {
             Err(Refusal::BadLimit(bad)) => bad,
             other => panic!("{other:?}"),
         }
     }
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     for (name, most, set) in sets {
         for axis in 0..3 {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.0, -0.0, -1.0, 1.000_001 * most] {
                 let mut invalid = rules_with_share(0.5);
                 set(&mut invalid.limits, axis, bad);
-                let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
+                let bad_limit = limit_of(board.ask::<SetRules>(&invalid).unwrap());
                 let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
                 assert_eq!((bad_limit.limit, bad_limit.joint, bad_limit.most), (name, joint, most), "{bad}");
                 assert_eq!(bad_limit.value.to_bits(), bad.to_bits(), "the refusal has the number");
@@ -308,12 +307,12 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
     for (low, high) in [(7.9, 24.0), (10.0, 28.1), (20.0, 20.0), (f32::NAN, 24.0), (10.0, f32::NAN)] {
         let mut invalid = rules_with_share(0.5);
         (invalid.limits.bus_min, invalid.limits.bus_max) = (low, high);
-        let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
+        let bad_limit = limit_of(board.ask::<SetRules>(&invalid).unwrap());
         assert!(matches!(bad_limit.limit, Limit::BusMin | Limit::BusMax), "{low} to {high} V: {bad_limit}");
     }
     for host_seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 0.009, 60.1] {
         let invalid = Rules { host_seconds, ..rules_with_share(0.5) };
-        assert_eq!(refused(board.ask::<SetRules>(&invalid).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
+        assert_eq!(limit_of(board.ask::<SetRules>(&invalid).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
     }
 }
 
@@ -338,7 +337,7 @@ where
             for place in 0..=sound.len().saturating_sub(4) {
                 let mut bytes = sound.clone();
                 bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
-                let mut board = board_in(now);
+                let mut board = board_in_state(now);
                 match outcome(&board.answer(&frame(E::REQ_KEY, &bytes)).unwrap()) {
                     true => accepted += 1,
                     false => refused += 1,
@@ -383,7 +382,7 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
         for place in 0..=sound.len() - 4 {
             let mut bytes = sound.clone();
             bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
-            let mut board = board_in(BoardState::Armed);
+            let mut board = board_in_state(BoardState::Armed);
             let answer = board.answer(&frame(Force::REQ_KEY, &bytes)).unwrap();
             let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
             seen.push(postcard::from_bytes::<ForceAnswer>(body).map(|answer| answer.done).ok());
@@ -393,13 +392,13 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
         }
     }
     for done in [ForceDone::Taken, ForceDone::Bad(BadForce::Lease), ForceDone::Bad(BadForce::Gains)] {
-        assert!(seen.contains(&Some(done)), "no request was {done:?}");
+        assert!(seen.contains(&Some(done)), "no request had the reply {done:?}");
     }
 }
 
 #[test]
 fn a_frame_without_a_request_gets_an_error_or_no_reply() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     let error = |answer: Option<Vec<u8>>| {
         let answer = answer.expect("a reply");
         let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
@@ -421,7 +420,7 @@ fn a_frame_without_a_request_gets_an_error_or_no_reply() {
 
 #[test]
 fn a_flash_failure_is_reported_and_changes_no_setting() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     let before = configuration(&mut board);
     board.machine.flash.fails = true;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Err(Refusal::Flash));
@@ -433,7 +432,7 @@ fn a_flash_failure_is_reported_and_changes_no_setting() {
 
 #[test]
 fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     board.ask::<SetName>(&"left hand".chars().collect::<Name>()).unwrap().unwrap();
     board.ask::<SetRules>(&rules_with_share(0.25)).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
@@ -483,7 +482,7 @@ fn a_polarity_check_counts_for_the_checked_device_only() {
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
-    let mut board = Board::ready(true, &device, &far_wall());
+    let mut board = Board::with_device(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     for (loaded, known) in [(rig::device(&inverted), false), (rig::device(&rig::five_bar()), false), (device, true)] {
         board.ask::<SetDevice>(&loaded).unwrap().unwrap();
@@ -536,17 +535,17 @@ fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
     assert!(entry_checksum(&inverted) == entry_checksum(&device) && inverted.joints != device.joints);
     let known = |board: &mut Board| board.ask::<GetStatus>(&()).unwrap().polarity;
 
-    let mut board = Board::ready(true, &device, &far_wall());
+    let mut board = Board::with_device(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
-    assert!(!known(&mut board), "loaded as {:?}", inverted.name);
+    assert!(!known(&mut board), "the polarity is known after loading {:?}", inverted.name);
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     assert!(known(&mut board));
     let restored = commit_request(&[Key::Device]);
     for (device, expected) in [(&inverted, false), (&device, true)] {
         stage_setting(&mut board, device).unwrap();
         board.ask::<CommitEntries>(&restored).unwrap().unwrap();
-        assert_eq!(known(&mut board), expected, "restored as {:?}", device.name);
+        assert_eq!(known(&mut board), expected, "the polarity is wrong after restoring {:?}", device.name);
     }
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
     (0..200).for_each(|_| board.tick());
@@ -557,7 +556,7 @@ fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
 #[test]
 fn an_older_polarity_check_does_not_undo_a_failed_one() {
     let device = rig::device(&paddle_without_back_emf());
-    let mut board = Board::ready(true, &device, &far_wall());
+    let mut board = Board::with_device(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
     // The motor's wires are swapped, which the next check must find.
@@ -581,7 +580,7 @@ fn an_older_polarity_check_does_not_undo_a_failed_one() {
 
 #[test]
 fn a_fault_with_an_invalid_value_is_published_once() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     board.reported_fault = Some((Fault::NotFinite, None, f32::NAN));
     board.tick();
     let published = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
@@ -599,7 +598,7 @@ fn heavier_device() -> DeviceData {
 fn a_restore_changes_all_settings_or_none() {
     let (low, high) = (rules_with_share(0.2), rules_with_share(0.9));
     let board = |fails: bool| {
-        let mut board = board_in(BoardState::Ready);
+        let mut board = board_in_state(BoardState::Ready);
         board.ask::<SetRules>(&low).unwrap().unwrap();
         board.ask::<Save>(&()).unwrap().unwrap();
         stage_setting(&mut board, &high).unwrap();
@@ -641,7 +640,7 @@ fn a_restore_changes_all_settings_or_none() {
 /// A tool stages settings and ends. The next tool tries to commit them, with or without its own settings.
 #[test]
 fn a_tool_cannot_commit_the_settings_of_another_tool() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     let before = board.ask::<GetRules>(&()).unwrap();
     stage_setting(&mut board, &rules_with_share(0.9)).unwrap();
     let another = |keys: &[Key]| Commit { session: SESSION + 1, ..commit_request(keys) };
@@ -722,7 +721,7 @@ fn a_table_sent_before_a_device_is_not_accepted_for_it() {
         board.ask::<CommitEntries>(&commit_request(&[Key::Device])).unwrap().unwrap();
     };
     for another in [&loaded as &dyn Fn(&mut Board), &restored] {
-        let mut board = board_in(BoardState::Bare);
+        let mut board = board_in_state(BoardState::Bare);
         board.ask::<SetDevice>(&first).unwrap().unwrap();
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         another(&mut board);
@@ -736,7 +735,7 @@ fn a_table_sent_before_a_device_is_not_accepted_for_it() {
 /// A saved mass model belongs to the saved scene, so a start must put both in force.
 #[test]
 fn a_start_restores_a_frozen_mass_matrix_with_its_scene() {
-    let mut board = board_in(BoardState::Ready);
+    let mut board = board_in_state(BoardState::Ready);
     let frozen = MassModelData::Frozen([1.0e-3; 6]);
     assert_eq!(board.ask::<SetMassModel>(&frozen).unwrap(), Ok(()));
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));

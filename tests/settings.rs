@@ -164,7 +164,7 @@ fn another_key_and_trailing_bytes_are_refused() {
 #[test]
 fn the_largest_scene_fits_an_entry_with_room_to_spare() {
     let length = encode(&full_scene()).unwrap().len();
-    assert!(length < LONGEST_SETTING, "{length}");
+    assert!(length < LONGEST_SETTING, "an entry of {length} bytes");
 }
 
 #[test]
@@ -219,7 +219,7 @@ fn scenes_of_earlier_versions_decode_without_a_posture() {
         assert_eq!(
             decode::<Scene<f32>>(&earlier_scene_entry(version)),
             Ok(Scene { posture: None, ..full_scene() }),
-            "{version}"
+            "version {version}"
         );
     }
 }

@@ -72,8 +72,7 @@ struct Phases {
     angle: f32,
 }
 
-/// A synchronous motor with a proportional current loop in the rotor's frame. The current is perpendicular to the
-/// field.
+/// A synchronous motor with a proportional current loop in the rotor's frame and a current perpendicular to the field.
 #[derive(Clone, Copy, Debug, Default)]
 struct FieldOriented {
     set_point: SetPoint,
@@ -135,7 +134,7 @@ struct PressedRig<S: Stage> {
 }
 
 impl<S: Stage> PressedRig<S> {
-    fn into_a_wall(stiffness: f32) -> Self {
+    fn pressed_into_wall(stiffness: f32) -> Self {
         let control_loop = ControlLoop::new(hardware(), rules());
         let mut rig = Self { control_loop, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
         let scene = scene(1, &[wall(-0.005, stiffness)]);
@@ -176,7 +175,7 @@ impl<S: Stage> PressedRig<S> {
 #[test]
 fn an_amplifier_gets_the_current_of_the_walls_torque() {
     // 1 cm at 250 N/m and an arm of 0.1 m is 0.25 N m, or 2.5 A of 3 A.
-    let mut rig = PressedRig::<SetPoint>::into_a_wall(250.0);
+    let mut rig = PressedRig::<SetPoint>::pressed_into_wall(250.0);
     let drives = rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false);
     assert!((drives[0] - 2.5 / 3.0).abs() < 0.01, "{drives:?}");
     rig.execute(Command::Disarm);
@@ -185,7 +184,7 @@ fn an_amplifier_gets_the_current_of_the_walls_torque() {
 
 #[test]
 fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
-    let mut rig = PressedRig::<SetPoint>::into_a_wall(1.0e6);
+    let mut rig = PressedRig::<SetPoint>::pressed_into_wall(1.0e6);
     let limit = limits().torque[0];
     assert!(
         (rig.control_loop.frame().motors.torque[0] - limit).abs() < 1.0e-6,
@@ -203,7 +202,7 @@ fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
 
 #[test]
 fn a_field_oriented_motor_has_its_voltage_across_the_field() {
-    let mut rig = PressedRig::<FieldOriented>::into_a_wall(250.0);
+    let mut rig = PressedRig::<FieldOriented>::pressed_into_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
         let current = rig.control_loop.frame().motors.torque[0] / 0.1;
         // 2.5 A flow perpendicular to the field.

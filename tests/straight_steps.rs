@@ -2,7 +2,7 @@
 //! bit, except torques and forces. A straight step may sum them in another order, so they may differ by a few roundings
 //! of their parts.
 
-use crate::common::{Draw, NUMBERS_PER_CASE, random_device};
+use crate::common::{NUMBERS_PER_CASE, TestNumbers, random_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
@@ -49,18 +49,18 @@ struct Coverage {
     turning_normal: usize,
     shaped_with_spring: usize,
     shaped_with_plane: usize,
-    partly_shaped: usize,
-    unshaped: usize,
-    passivity_damped: usize,
+    partly_shaped_steps: usize,
+    unshaped_steps: usize,
+    passivity_damped_steps: usize,
     energy_debt: usize,
     straight_steps: usize,
     largest_difference: f64,
 }
 
-/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some features that only
-/// the general step has.
-fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
-    let choice = |draw: &mut Draw<'_>, count: usize| (draw.within(0.0, count as f64) as usize).min(count - 1);
+/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some of the general
+/// step only.
+fn scene<T: Real>(draw: &mut TestNumbers<'_>, place: &[f64], task: usize) -> Scene<T> {
+    let choice = |draw: &mut TestNumbers<'_>, count: usize| (draw.uniform(0.0, count as f64) as usize).min(count - 1);
     let mut scene = Scene::<f64> {
         task: task as u8,
         rate_hz: RATE_HZ,
@@ -82,9 +82,9 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         before = Some(direction);
         let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
         let normal = direction.map(|x| x / length);
-        let depth = draw.within(-0.01, 0.02);
+        let depth = draw.uniform(-0.01, 0.02);
         let on_it = |away: f64| core::array::from_fn(|i| if i < task { place[i] + away * normal[i] } else { 0.0 });
-        let radius = draw.within_log(0.02, 1.0);
+        let radius = draw.log_uniform(0.02, 1.0);
         let surface = match (flat, choice(draw, 3)) {
             (0, 0) => Surface::Sphere(Sphere { center: on_it(depth - radius), radius, inside: false }),
             (0, 1) => Surface::Sphere(Sphere { center: on_it(depth + radius), radius, inside: true }),
@@ -92,10 +92,10 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         };
         let wall = Wall {
             surface,
-            stiffness: draw.within_log(10.0, 5000.0),
-            damping: draw.within(0.0, 5.0),
+            stiffness: draw.log_uniform(10.0, 5000.0),
+            damping: draw.uniform(0.0, 5.0),
             feed_forward: [FeedForward::Off, FeedForward::Full, FeedForward::Washout][choice(draw, 3)],
-            washout_hz: draw.within_log(0.2, 50.0),
+            washout_hz: draw.log_uniform(0.2, 50.0),
             damping_compensation: choice(draw, 5) == 0,
             bilateral: choice(draw, 4) == 0,
         };
@@ -106,31 +106,30 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     }
     // Up to two springs lead to points or lines. Some have only damping.
     for _ in 0..[1, 2, 0, 0, 1, 0][spring] {
-        let away = draw.within(-0.02, 0.02);
+        let away = draw.uniform(-0.02, 0.02);
         let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
-        let (turn, to_line) = (draw.within(0.0, core::f64::consts::TAU), choice(draw, 2) == 0 && task > 1);
+        let (turn, to_line) = (draw.uniform(0.0, core::f64::consts::TAU), choice(draw, 2) == 0 && task > 1);
         let direction = if to_line { [turn.cos(), turn.sin(), 0.0] } else { [0.0; 3] };
-        let stiffness = draw.within_log(5.0, 2000.0) * [0.0, 1.0, 1.0, 1.0][choice(draw, 4)];
+        let stiffness = draw.log_uniform(5.0, 2000.0) * [0.0, 1.0, 1.0, 1.0][choice(draw, 4)];
         scene.springs.push(Spring { point, direction, stiffness, damping: 0.5 }).expect("room for a spring");
     }
     scene.cast()
 }
 
 /// Draws a plane of the host near `place`. Some planes have only damping.
-fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
+fn pushed_plane<T: Real>(draw: &mut TestNumbers<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
     let direction: [f64; 3] = draw.list(-1.0, 1.0);
     let length = direction.iter().take(task).map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
     // A plane that moves between two others has a normal shorter than 1.
-    let size = draw.within(0.5, 1.0) / length;
+    let size = draw.uniform(0.5, 1.0) / length;
     let normal: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] * size } else { 0.0 });
-    let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.within(-0.01, 0.02);
-    let stiffness = if draw.within(0.0, 1.0) < 0.2 { 0.0 } else { draw.within_log(10.0, 2000.0) };
-    let [offset, stiffness, damping] = [at, stiffness, draw.within(0.0, 2.0)].map(T::from_f64);
+    let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.uniform(-0.01, 0.02);
+    let stiffness = if draw.uniform(0.0, 1.0) < 0.2 { 0.0 } else { draw.log_uniform(10.0, 2000.0) };
+    let [offset, stiffness, damping] = [at, stiffness, draw.uniform(0.0, 2.0)].map(T::from_f64);
     PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
 }
 
-/// Returns the sum of the sizes of all forces except wall forces (N), and the tip's acceleration from turning normals
-/// (m/s²).
+/// Returns the sum of all absolute forces but wall forces (N), and the tip's acceleration from turning normals (m/s²).
 fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     scene: &Scene<T>,
@@ -203,18 +202,18 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     coverage: &mut Coverage,
 ) {
     let numbers = stream.list();
-    let mut draw = Draw::new(&numbers);
+    let mut draw = TestNumbers::new(&numbers);
     let mut counts: [f64; N] = draw.list(-0.5 * COUNTS_PER_TURN, 0.5 * COUNTS_PER_TURN);
     let q = SVector::from_fn(|i, _| T::from_f64(counts[i] / COUNTS_PER_TURN * core::f64::consts::TAU));
     let tip = mechanism.tip(&mechanism.pose::<K>(&q));
     let place: Vec<f64> = tip.iter().map(|x| x.to_f64()).collect();
     let scene = scene::<T>(&mut draw, &place, M::SPEC.task);
     let mut straight = Controller::<T, M, K, N>::new(*mechanism, device, &scene).expect("a scene");
-    let passivity = draw.within(0.0, 1.0) < 0.5;
+    let passivity = draw.uniform(0.0, 1.0) < 0.5;
     straight.set_passivity(passivity, true);
-    let pace = draw.within_log(0.1, 60.0);
+    let pace = draw.log_uniform(0.1, 60.0);
     let plane = pushed_plane::<T>(&mut draw, &place, M::SPEC.task);
-    let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
+    let plane = if draw.uniform(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
     let (mut push, mut variant) = (None, String::new());
     let mut going: [f64; N] = draw.list(-1.0, 1.0);
     for nth in 0..STEPS_PER_CASE {
@@ -236,8 +235,7 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             *count += pace * *going;
         }
         let at = counts.map(|count| count as i32);
-        // Both controllers start from the same state, because the wall energy depends on the torques of the previous
-        // step.
+        // Both controllers start from the same state, because the wall energy depends on the previous torques.
         let mut general = straight.clone();
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
         if nth % (STEPS_PER_CASE / 4) == STEPS_PER_CASE / 4 - 1 {
@@ -248,7 +246,7 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         }
         let other = other_forces::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
         let apart = difference_in_roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
-        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
+        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings of difference at {at:?} of {scene:?}", M::SPEC.name);
         coverage.largest_difference = coverage.largest_difference.max(apart);
         // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
@@ -269,9 +267,9 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         coverage.shaped_with_spring +=
             usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
         coverage.shaped_with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
-        coverage.partly_shaped += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
-        coverage.unshaped += usize::from(slow.shaping == T::zero());
-        coverage.passivity_damped += usize::from(slow.passivity_damping > T::zero());
+        coverage.partly_shaped_steps += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
+        coverage.unshaped_steps += usize::from(slow.shaping == T::zero());
+        coverage.passivity_damped_steps += usize::from(slow.passivity_damping > T::zero());
         coverage.energy_debt += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
     }
 }
@@ -290,7 +288,7 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         // Devices with two joints have their own straight steps, so more cases are drawn.
         for _ in 0..if kind == Kind::FiveBar { 4 * CASES_PER_MECHANISM } else { CASES_PER_MECHANISM } {
             let numbers = stream.list();
-            let mut description = random_device(kind, &mut Draw::new(&numbers));
+            let mut description = random_device(kind, &mut TestNumbers::new(&numbers));
             for joint in &mut description.joints {
                 joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
             }
@@ -307,13 +305,16 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
             coverage.several_contacts,
             coverage.only_round_walls,
             coverage.springs,
-            coverage.passivity_damped,
+            coverage.passivity_damped_steps,
             coverage.energy_debt,
         ];
         assert!(ways.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
         let planar = [coverage.turning_normal, coverage.shaped_with_spring, coverage.shaped_with_plane];
         assert!(kind != Kind::FiveBar || planar.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
         assert!(coverage.straight_steps > 2000, "{kind:?}: {coverage:?}");
-        assert!(!fade_reached || (coverage.partly_shaped > 10 && coverage.unshaped > 10), "{kind:?}: {coverage:?}");
+        assert!(
+            !fade_reached || (coverage.partly_shaped_steps > 10 && coverage.unshaped_steps > 10),
+            "{kind:?}: {coverage:?}"
+        );
     }
 }

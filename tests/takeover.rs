@@ -29,7 +29,7 @@ fn prepared_values(rig: &Rig) -> String {
 
 fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {
     let description = five_bar();
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     if let Some(first) = first {
         rig.load(&description, first, false).expect("a program that fits");
     }
@@ -104,11 +104,11 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let carrier_hz = f64::from(Carrier::for_rate(hardware().timer_hz, rate).carrier_hz());
     for tenths in 150..400 {
         let speed = f64::from(tenths) * 0.1;
-        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), far_wall()), hardware(), limited);
+        let mut rig = Rig::new(&description, &at_rate(first.unwrap_or(rate), far_wall()), hardware(), limited);
         if first.is_some() {
             rig.load(&description, &at_rate(rate, far_wall()), true).expect("a scene");
         }
-        rig.execute(Command::Arm).expect("everything is in place");
+        rig.execute(Command::Arm).expect("the board is ready to arm");
         let counts_per_crest = COUNTS_PER_TURN / std::f64::consts::TAU * speed / carrier_hz;
         for crest in 0..(0.05 * carrier_hz) as i32 {
             let counts = Counts([(counts_per_crest * f64::from(crest)) as i32, 0, 0]);

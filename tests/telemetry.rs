@@ -1,6 +1,6 @@
 //! Telemetry has a row for every step that the stream keeps, and reports the exact number of missing rows.
 
-use crate::common::cases;
+use crate::common::property_config;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
 use haptic_bridge::control::frame::StepRecord;
 use haptic_bridge::control::joints::Counts;
@@ -47,7 +47,7 @@ fn a_row_holds_its_fields_in_their_order() {
     // IEEE 754: 9 = 1.125 · 2^3, 0.5 = 1 · 2^-1.
     assert_eq!(batch.rows[..8], [0, 0, 0x10, 0x41, 0, 0, 0, 0x3F]);
     assert_eq!(batch.rows[8..12], [0xF9, 0xFF, 0xFF, 0xFF], "-7");
-    assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, more than a float could hold");
+    assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, which f32 cannot represent");
     assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
 }
 
@@ -101,15 +101,14 @@ fn fields_that_do_not_exist_are_not_sent() {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(property_config(256))]
 
     #[test]
     fn every_step_is_either_in_a_batch_or_counted_as_lost(
         divider in 1_u32..5,
         start in prop_oneof![Just(0_u32), Just(u32::MAX - 100), any::<u32>()],
         fields in 1_u32..(1 << 17),
-        // For each row two numbers. A first 0 makes the board drop the row, a second 0 makes the link lose a full
-        // batch.
+        // Two numbers for each row. A first 0 makes the board drop the row, a second 0 makes the link lose a batch.
         events in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
     ) {
         let mut packer = packer(Fields(fields), divider, 2);

@@ -28,7 +28,7 @@ fn the_butterworth_filter_agrees_with_the_direct_form() {
             let direct = b0 * input + b1 * x[0] + b2 * x[1] - a1 * y[0] - a2 * y[1];
             (x, y) = ([input, x[0]], [direct, y[0]]);
             let ours = filter.step(&coefficients, input);
-            assert!((ours - direct).abs() < 1e-9, "{rate} Hz, {cutoff} Hz, step {step}: {ours} and {direct}");
+            assert!((ours - direct).abs() < 1e-9, "{rate} Hz, {cutoff} Hz, step {step}: {ours}, not {direct}");
         }
     }
 }
@@ -68,7 +68,7 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
             let (late, reported) = (last / rate - estimate, coefficients.lag());
             assert!(
                 (late / reported - 1.0).abs() < 1e-6,
-                "{kind:?}, {rate} Hz, {cutoff} Hz: {late} s, reported {reported}"
+                "{kind:?}, {rate} Hz, cutoff {cutoff} Hz: a lag of {late} s, reported {reported}"
             );
         }
     }
@@ -95,7 +95,7 @@ fn a_slow_washout_removes_a_constant_force_in_single_precision() {
     assert!((washout.step(5.0) - 5.0).abs() < 1e-3);
     // After twelve time constants of 1/(2π 0.2 Hz) 6e-6 of the force is left.
     let left = (0..(12.0 * 0.8 * 50_000.0) as u32).map(|_| washout.step(5.0)).last().unwrap();
-    assert!(left.abs() < 1e-4, "{left}");
+    assert!(left.abs() < 1e-4, "{left} of the force is left");
 }
 
 /// The library computes the response to a single count over a shorter time than the 4 s of this test.
@@ -121,7 +121,7 @@ fn the_response_to_one_count_is_right_although_truncated() {
             });
             let peak = speed * response.fold(0.0, f64::max);
             assert!(peak > 0.0, "{kind:?}");
-            assert!((known - peak).abs() <= 1e-9 * peak, "{kind:?} at {cutoff} Hz: {known} for {peak}");
+            assert!((known - peak).abs() <= 1e-9 * peak, "{kind:?} at {cutoff} Hz: peak {known}, measured {peak}");
         }
     }
     // If the window is much shorter than the low-pass, the peak equals the peak of the low-pass's impulse response. For
@@ -129,5 +129,5 @@ fn the_response_to_one_count_is_right_although_truncated() {
     let found = Coefficients::of_device::<Libm>((Estimator::Difference(filtered(3)), 20_000.0, 20.0), &device).unwrap();
     let peak = 2f64.sqrt() * (-std::f64::consts::FRAC_PI_4).exp() * (0.5f64.sqrt()) * 40.0 * std::f64::consts::PI;
     let expected = device.joints[0].radians_per_count.abs() * peak;
-    assert!((found.one_count()[0] / expected - 1.0).abs() < 0.01, "{} for {expected}", found.one_count()[0]);
+    assert!((found.one_count()[0] / expected - 1.0).abs() < 0.01, "peak {}, expected {expected}", found.one_count()[0]);
 }

@@ -1,5 +1,4 @@
-//! The energy that a hand gains while it slides along a wall, derived from Λ, computed from the torques, and reported
-//! as `energy`.
+//! The energy that a hand gains as it slides along a wall: derived from Λ, computed from torques, reported as `energy`.
 //!
 //! At rest a wall with the full feed-forward is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential. Its
 //! other part is f γ along the wall, with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and
@@ -68,7 +67,7 @@ struct LoopEnergies {
 
 impl Case {
     fn run_loops(&self, feed_forward: FeedForward, passivity: bool, times: usize) -> LoopEnergies {
-        let shipped = device_file::shipped(self.device);
+        let shipped = device_file::shipped_device(self.device);
         let description = Description { gravity: [0.0; 3], ..with_fine_encoders(shipped) };
         let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
         with_mechanism!(&mechanism, m => self.run(*m, &description, feed_forward, passivity, times))
@@ -152,7 +151,7 @@ fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
         let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, false, 2);
         assert!((derived / case.energy_gain - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
         // Torques are constant during a step, so they lag by half a step.
-        assert!(work.iter().all(|work| (work / derived - 1.0).abs() < 0.005), "{}: {work:?} J done", case.device);
+        assert!(work.iter().all(|work| (work / derived - 1.0).abs() < 0.005), "{}: work {work:?} J", case.device);
         // The debt of the first loop remains in the second loop.
         assert!((reported[0] + work[0]).abs() < 1e-2 * work[0], "{}: {reported:?} reported for {work:?}", case.device);
         assert!(
@@ -168,7 +167,7 @@ fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
     for case in &CASES {
         for (feed_forward, share) in [(FeedForward::Off, 0.005), (FeedForward::Washout, 0.02)] {
             let LoopEnergies { work, derived, .. } = case.run_loops(feed_forward, false, 1);
-            assert!(work[0].abs() < share * derived, "{} {feed_forward:?}: {work:?} J of {derived}", case.device);
+            assert!(work[0].abs() < share * derived, "{} {feed_forward:?}: work {work:?} of {derived}", case.device);
         }
     }
 }

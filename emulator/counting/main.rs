@@ -63,39 +63,39 @@ const POSES: [[f32; MAX_JOINTS]; 6] =
 #[derive(Clone, Copy, PartialEq)]
 enum Walls {
     None,
-    One,
+    OnePlane,
     /// Two crossing planes that the tip touches.
-    Two,
+    TwoPlanes,
     Ball,
     Spring,
-    OneAndSpring,
+    PlaneAndSpring,
 }
 
 /// Name, contents of the scene, feed-forward and velocity terms of each variant.
 const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
-    ("none", Walls::One, FeedForward::Off, VelocityTerms::Off),
-    ("feed-forward", Walls::One, FeedForward::Full, VelocityTerms::Off),
-    ("feed-forward+z", Walls::One, FeedForward::Full, VelocityTerms::Rendered),
-    ("washout", Walls::One, FeedForward::Washout, VelocityTerms::Off),
-    ("washout+z", Walls::One, FeedForward::Washout, VelocityTerms::Rendered),
+    ("none", Walls::OnePlane, FeedForward::Off, VelocityTerms::Off),
+    ("feed-forward", Walls::OnePlane, FeedForward::Full, VelocityTerms::Off),
+    ("feed-forward+z", Walls::OnePlane, FeedForward::Full, VelocityTerms::Rendered),
+    ("washout", Walls::OnePlane, FeedForward::Washout, VelocityTerms::Off),
+    ("washout+z", Walls::OnePlane, FeedForward::Washout, VelocityTerms::Rendered),
     ("free", Walls::None, FeedForward::Off, VelocityTerms::Off),
-    ("edge, none", Walls::Two, FeedForward::Off, VelocityTerms::Off),
-    ("edge, washout", Walls::Two, FeedForward::Washout, VelocityTerms::Off),
-    ("edge, washout+z", Walls::Two, FeedForward::Washout, VelocityTerms::Rendered),
+    ("edge, none", Walls::TwoPlanes, FeedForward::Off, VelocityTerms::Off),
+    ("edge, washout", Walls::TwoPlanes, FeedForward::Washout, VelocityTerms::Off),
+    ("edge, washout+z", Walls::TwoPlanes, FeedForward::Washout, VelocityTerms::Rendered),
     ("ball, washout", Walls::Ball, FeedForward::Washout, VelocityTerms::Off),
     ("ball, washout+z", Walls::Ball, FeedForward::Washout, VelocityTerms::Rendered),
     ("spring", Walls::Spring, FeedForward::Off, VelocityTerms::Off),
-    ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
-    ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
+    ("spring beside, none", Walls::PlaneAndSpring, FeedForward::Off, VelocityTerms::Off),
+    ("spring beside, washout", Walls::PlaneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
 /// Number of points of a table along each coordinate.
 const TABLE_POINTS: u8 = 10;
 /// Half the width of a table around home, rad.
 const TABLE_HALF_WIDTH: f32 = 0.6;
-/// Steps before the counted step. They start a few counts away, so velocities are not zero.
-const RUN_UP: i32 = 3;
-/// Steps before the counted step that also fill an estimator's longest window.
-const LONG_RUN_UP: i32 = MAX_WINDOW as i32 + RUN_UP;
+/// Steps before the counted step. The first starts a few counts away, so velocities are not zero.
+const RUN_UP_STEPS: i32 = 3;
+/// Steps before the counted step, enough to fill the longest window of an estimator.
+const LONG_RUN_UP_STEPS: i32 = MAX_WINDOW as i32 + RUN_UP_STEPS;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -161,14 +161,14 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Only the board's own trigonometry is counted for scenes other than one plane, and except for the ball
-            // only the exact mass matrix.
+            // Scenes other than one plane are counted with the board's trigonometry, and except the ball with the exact
+            // mass.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
-            if *walls != Walls::One && !shipped {
+            if *walls != Walls::OnePlane && !shipped {
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP_STEPS);
         }
     }
     // Velocity estimators are counted with the board's own trigonometry and the longest windows.
@@ -178,10 +178,10 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 Some(key) => Chosen { value: key.range.1, ..chosen },
                 None => chosen,
             };
-            let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
+            let mut scene = scene::<M, N>(&tip, Walls::OnePlane, FeedForward::Full, VelocityTerms::Off);
             scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.with_options(longest(chosen)));
             let name = ["exact/feed-forward, ", estimator];
-            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP_STEPS);
         }
     }
 }
@@ -266,8 +266,8 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
     let plane = |direction: &[f32; 3]| Surface::Plane(Plane { point: at(direction), normal: *direction });
     let surfaces = match walls {
         Walls::None | Walls::Spring => [None, None],
-        Walls::One | Walls::OneAndSpring => [Some(plane(&directions[0])), None],
-        Walls::Two => [Some(plane(&directions[0])), Some(plane(&directions[1]))],
+        Walls::OnePlane | Walls::PlaneAndSpring => [Some(plane(&directions[0])), None],
+        Walls::TwoPlanes => [Some(plane(&directions[0])), Some(plane(&directions[1]))],
         Walls::Ball => {
             let ball = Sphere { center: at(&directions[0]), radius: 2.0, inside: false };
             [Some(Surface::Sphere(ball)), None]
@@ -286,7 +286,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
             bilateral: false,
         });
     }
-    if matches!(walls, Walls::Spring | Walls::OneAndSpring) {
+    if matches!(walls, Walls::Spring | Walls::PlaneAndSpring) {
         let spring = Spring { point: at(&[0.01, 0.0, 0.0]), direction: [0.0; 3], stiffness: 200.0, damping: 1.0 };
         let _ = scene.springs.push(spring);
     }

@@ -52,8 +52,8 @@ pub struct MotorWires {
     pub gates: [Pin; 4],
     /// Alternate function that connects `gates` to the timer.
     pub function: u8,
-    /// Current sensors as converter channel and volts per ampere, positive from the first end to the second. Where the
-    /// amplifier's gain is programmable, the value is the shunt's, and the driver's gain multiplies it.
+    /// Current sensors: converter channel and scale (V/A, positive for a current from the first end to the second). If
+    /// the amplifier's gain is programmable, the scale is the shunt's resistance.
     pub sensors: &'static [(u8, f64)],
 }
 
@@ -70,7 +70,7 @@ pub struct Wiring {
     pub enable: Pin,
     /// All pins that lead to a gate, a bridge input or an enable line, also of unused phases and of the brake.
     pub power_pins: &'static [Pin],
-    /// True if the enabled axes brake at idle timer outputs, false if they float.
+    /// True if enabled axes brake while the timer outputs are idle, false if they float.
     pub brakes_when_idle: bool,
     /// Pin that a power stage pulls low to report a fault.
     pub fault: Pin,
@@ -88,7 +88,7 @@ pub struct Wiring {
     pub bus_voltage: f64,
     /// Zero offset of each current sensor, V. Shunt amplifiers have a few millivolts. Hall sensors are trimmed to zero.
     pub sensor_offsets: [f64; 4],
-    /// Dead time with both switches of a half bridge off, s. It costs voltage. Zero if half bridges are modules.
+    /// Dead time with both switches of a half bridge off, s. It reduces the motor voltage. 0 for half-bridge modules.
     pub dead_time: f64,
 }
 
@@ -233,7 +233,7 @@ impl Wiring {
 
     /// Returns the wiring of a board.
     #[must_use]
-    pub fn of(kind: BoardKind) -> &'static Self {
+    pub fn of_board(kind: BoardKind) -> &'static Self {
         match kind {
             BoardKind::OdriveV3 => &ODRIVE_V3,
             BoardKind::HBridgeF405 => &H_BRIDGE_F405,
@@ -244,6 +244,6 @@ impl Wiring {
 
 impl From<BoardKind> for &'static Wiring {
     fn from(kind: BoardKind) -> Self {
-        Wiring::of(kind)
+        Wiring::of_board(kind)
     }
 }

@@ -9,10 +9,10 @@ use haptic_sim::BoardFaults;
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
-use crate::inject::bridges_off;
+use crate::inject::bridges_are_off;
 use crate::plant::Peaks;
 use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
@@ -42,7 +42,7 @@ pub const CASES: &[Case] = &[
     Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), must_detect: true },
     Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), must_detect: true },
     Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), must_detect: true },
-    // At rest a frozen current equals the requested current, so the board cannot detect it.
+    // At rest a frozen reading equals the requested current, so the board cannot detect the error.
     Case { name: "current sensors frozen, hand at rest", cause: freeze_current_sensor, must_detect: false },
     Case {
         name: "current sensors frozen, hand moves",
@@ -53,9 +53,9 @@ pub const CASES: &[Case] = &[
         must_detect: false,
     },
     Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), must_detect: true },
-    // The current of this contact is 0.4 A. The loop doubles it because the sensors report half. The difference between
-    // the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the board detects the error
-    // (src/inject.rs, CurrentSensor).
+    // The current of this contact is 0.4 A. The loop doubles the current because the sensors report half. The
+    // difference between the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the
+    // board detects the error (src/inject.rs, CurrentSensor).
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), must_detect: false },
     Case { name: "a winding open", cause: |board| board.faults.open[0] = true, must_detect: true },
     Case { name: "a bridge stuck at 40 %", cause: |board| board.faults.stuck_on[0] = Some(0.4), must_detect: true },
@@ -165,12 +165,12 @@ pub struct Campaign {
 impl Campaign {
     /// Returns a board with the control rate `rate`, Hz.
     #[must_use]
-    pub fn at(rate: u32) -> Self {
+    pub fn new(rate: u32) -> Self {
         let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
         let (home, tip) = rig.with_simulated(|device| (device.q(), device.tip()));
         let head = format!("rate_hz = {rate}.0\ncutoff_hz = {:?}\n", f64::from(rate) * 0.025);
         rig.prepare(&head);
-        let soft = WallAt { stiffness: 100.0, feed_forward: "off", ..WallAt::facing([0.0, -1.0, 0.0]) };
+        let soft = NearWall { stiffness: 100.0, feed_forward: "off", ..NearWall::with_normal([0.0, -1.0, 0.0]) };
         let scene = scene(&head, tip, 2, &[soft]);
         Self { rig, home, scene, rate }
     }
@@ -179,7 +179,7 @@ impl Campaign {
     fn prepare(&mut self) {
         let (rig, home) = (&mut self.rig, self.home);
         rig.tool.disarm().expect("the board disarms");
-        rig.with(move |stopped| {
+        rig.while_stopped(move |stopped| {
             let board = stopped.hardware();
             board.faults = BoardFaults::default();
             board.encoders_unplugged = [false; 3];
@@ -213,8 +213,7 @@ impl Campaign {
     pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
         self.prepare();
         let rig = &mut self.rig;
-        // Wait for a step first, because steps are a whole number of control periods after the first step, not after
-        // time 0.
+        // Wait for a step, because control periods are counted from the first step and not from time 0.
         let period = 1_000_000_000 / u64::from(self.rate);
         let steps = rig.steps();
         while rig.steps() == steps {
@@ -223,21 +222,21 @@ impl Campaign {
         rig.run(phase * period / PHASES);
         let cause = case.cause;
         let began = rig.now();
-        rig.with(move |stopped| {
+        rig.while_stopped(move |stopped| {
             stopped.hardware().peaks = Peaks::default();
             cause(stopped.hardware());
         });
         let floats = rig.shared.board().run_until(MAX_WAIT_NS, 25 * MICROSECOND, is_power_disabled);
         let off_after_ns = rig.now() - began;
-        let peaks = rig.with(|stopped| stopped.hardware().peaks);
+        let peaks = rig.while_stopped(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
-        assert!(!floats || rig.with(bridges_off), "{}: the bridges drive: {status:?}", case.name);
+        assert!(!floats || rig.while_stopped(bridges_are_off), "{}: the bridges drive: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), off_after_ns, peaks }
     }
 }
 
-/// Returns true if the power stages are disabled. A stuck bridge does not count.
+/// Returns true if the power stages are disabled. A stuck bridge is ignored.
 fn is_power_disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
@@ -269,7 +268,7 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
 #[must_use]
 pub fn table() -> String {
     let at_rate = |rate| {
-        let mut campaign = Campaign::at(rate);
+        let mut campaign = Campaign::new(rate);
         let rows = CASES.iter().map(|case| {
             let outcomes: Vec<_> = (0..PHASES).map(|phase| campaign.run(case, phase)).collect();
             let row = row(case, rate, &outcomes);

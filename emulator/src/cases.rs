@@ -1,10 +1,10 @@
 //! Devices and scenes with which the control interrupt is measured and tested under load.
 
 use crate::boards::BoardKind;
-use crate::contact::WallAt;
+use crate::contact::NearWall;
 use crate::rig::Rig;
 
-/// Contents of a scene. Walls have the full feed-forward unless another one is mentioned.
+/// Contents of a scene. Walls have the full feed-forward unless the variant names another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SceneKind {
     /// No walls, springs or fields.
@@ -14,9 +14,9 @@ pub enum SceneKind {
     /// One flat wall.
     Wall,
     /// One flat wall without feed-forward.
-    WallOff,
+    WallWithoutFeedForward,
     /// One flat wall with a washed-out feed-forward.
-    WallWashed,
+    WallWithWashout,
     /// One round wall.
     Ball,
     /// A flat wall and a spring.
@@ -33,26 +33,26 @@ impl SceneKind {
             Self::Nothing => "nothing",
             Self::Spring => "a spring and a field",
             Self::Wall => "a wall",
-            Self::WallOff => "a wall without feed-forward",
-            Self::WallWashed => "a wall, washed out",
+            Self::WallWithoutFeedForward => "a wall without feed-forward",
+            Self::WallWithWashout => "a wall, washed out",
             Self::Ball => "a round wall",
             Self::WallAndSpring => "a wall and a spring",
             Self::Corner => "a corner",
         }
     }
 
-    fn walls(self) -> Vec<WallAt> {
-        let one = WallAt::facing([0.0, -1.0, 0.0]);
+    fn walls(self) -> Vec<NearWall> {
+        let one = NearWall::with_normal([0.0, -1.0, 0.0]);
         match self {
             Self::Nothing | Self::Spring => vec![],
             Self::Wall | Self::WallAndSpring => vec![one],
-            Self::WallOff => vec![WallAt { feed_forward: "off", ..one }],
-            Self::WallWashed => vec![WallAt { feed_forward: "washout", ..one }],
-            Self::Ball => vec![WallAt { radius: Some(0.03), ..one }],
+            Self::WallWithoutFeedForward => vec![NearWall { feed_forward: "off", ..one }],
+            Self::WallWithWashout => vec![NearWall { feed_forward: "washout", ..one }],
+            Self::Ball => vec![NearWall { radius: Some(0.03), ..one }],
             Self::Corner => {
-                let other = WallAt::facing([-1.0, 0.0, 0.0]);
+                let other = NearWall::with_normal([-1.0, 0.0, 0.0]);
                 // Walls of equal stiffness need no shaping, so the stiffness differs.
-                vec![one, WallAt { stiffness: 0.5 * other.stiffness, ..other }]
+                vec![one, NearWall { stiffness: 0.5 * other.stiffness, ..other }]
             }
         }
     }
@@ -96,8 +96,8 @@ pub const CASES: [Case; 5] = [
 pub const SCENES: [Case; 6] = [
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Nothing, 880),
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Spring, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallOff, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallWashed, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallWithoutFeedForward, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallWithWashout, 880),
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Ball, 880),
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallAndSpring, 880),
 ];

@@ -31,7 +31,7 @@ use trigger::{Converter, MasterTimer};
 /// Names of the blocks of the USB core in the vendor's file, in address order.
 pub const OTG_BLOCKS: [&str; 4] = ["OTG_FS_GLOBAL", "OTG_FS_HOST", "OTG_FS_DEVICE", "OTG_FS_PWRCLK"];
 
-/// The model of ours that replaces the part's model in a slot.
+/// Our model that replaces the part's model in a slot of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OwnModel {
     None,
@@ -47,8 +47,8 @@ enum OwnModel {
 #[derive(Debug)]
 pub struct Chip {
     part: Stm32f427,
-    /// The inactive bus: the bus that the part was built with, without its slots.
-    parked: Bus,
+    /// Bus that the part was built with, without its slots.
+    inactive_bus: Bus,
     own_models: Vec<OwnModel>,
     otg_slot: usize,
     /// Number of restarts so far.
@@ -86,7 +86,7 @@ impl Chip {
         let own_models = bus.slots().iter().map(|slot| find_own_model(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
-            parked: bus,
+            inactive_bus: bus,
             otg_slot: bus_slot,
             own_models,
             restarts: 0,
@@ -108,16 +108,15 @@ impl Chip {
         registers.set(DebugRegister::DbgmcuIdcode, 0x100F_6413);
     }
 
-    /// Swaps the active bus with the parked bus. The slots of the part's own models move along, so their contents,
-    /// gates and corrections are equal on both buses.
+    /// Swaps the active bus with the inactive bus. The slots of the part's own models move to the new active bus.
     fn swap_buses(&mut self) {
-        let Self { part, parked, own_models, .. } = self;
+        let Self { part, inactive_bus, own_models, .. } = self;
         for (index, owner) in own_models.iter().enumerate() {
             if !matches!(owner, OwnModel::Otg(_) | OwnModel::Exti) {
-                std::mem::swap(parked.slot_mut(index), part.bus_mut().slot_mut(index));
+                std::mem::swap(inactive_bus.slot_mut(index), part.bus_mut().slot_mut(index));
             }
         }
-        std::mem::swap(parked, part.bus_mut());
+        std::mem::swap(inactive_bus, part.bus_mut());
     }
 
     /// Returns the bus and the advanced timers separately, so that a timer's input can be driven.
@@ -125,12 +124,11 @@ impl Chip {
         (self.part.bus_mut(), &mut self.advanced)
     }
 
-    /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless has no model for this. The edge is latched
-    /// if the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section
-    /// 12.3).
-    pub fn rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
+    /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless does not model the edge. It is latched if
+    /// the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 12.3).
+    pub fn apply_rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
         let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
-        let enabled = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << line);
+        let enabled = self.register("EXTI", map::exti::RTSR) & self.register("EXTI", map::exti::IMR) & (1 << line);
         if selected == port as u64 && enabled != 0 {
             let slot = self.bus().slot_of("EXTI").expect("the part has EXTI");
             let (registers, _) = self.part.bus_mut().drive(at, slot);
@@ -138,21 +136,20 @@ impl Chip {
         }
     }
 
-    /// Stops the crystal. Returns true if the clock security system was on. It then sets its flag and switches to the
-    /// chip's internal oscillator (RM0090 section 7.2.7). Its connection to the non-maskable interrupt is not modelled.
+    /// Stops the crystal. Returns true if the clock security system was on. This system then sets its flag and switches
+    /// to the internal oscillator (RM0090 section 7.2.7). Its non-maskable interrupt is not modelled.
     pub fn stop_crystal(&mut self, at: VirtualNanos) -> bool {
         self.part.drive_clocks(at, |clocks, registers, context| clocks.fail_hse(registers, context));
         self.register("RCC", map::rcc::INTERRUPTS) & map::rcc::CLOCK_FAILED != 0
     }
 
     /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt, which rigless does
-    /// not model. The monitor's output must have risen on line 16, with rising edges and requests enabled (RM0090
-    /// sections 5.2.2 and 12.2.5).
-    pub fn supply(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
+    /// not model. The request needs a rising edge on line 16 that is enabled (RM0090 5.2.2 and 12.2.5).
+    pub fn set_supply_voltage(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
         let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
         let before = low(self);
         self.part.set_supply(millivolts);
-        let line = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << 16);
+        let line = self.register("EXTI", map::exti::RTSR) & self.register("EXTI", map::exti::IMR) & (1 << 16);
         if before || !low(self) || line == 0 {
             return false;
         }
@@ -166,7 +163,7 @@ impl Chip {
     pub fn corrupt_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
         let slot = self.bus().slot_of("FLASH").expect("the part has a flash interface");
         let (_, mut context) = self.part.bus_mut().drive(at, slot);
-        context.program(address, Width::W32, u64::from(word), flash::WRITTEN);
+        context.program(address, Width::W32, u64::from(word), flash::WRITE_TOKEN);
     }
 
     /// Returns the register at `offset` of the instance `name`.
@@ -211,9 +208,9 @@ impl Mcu for Chip {
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.swap_buses();
         // Our previous bus, with the count of events for which models may still wait.
-        let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("a valid description"));
+        let before = std::mem::replace(&mut self.inactive_bus, map::bus(self.part.bus()).expect("a valid description"));
         self.part.reset(at, cause);
-        self.parked.keep_added(&before).expect("the same description");
+        self.inactive_bus.keep_added(&before).expect("the same description");
         self.swap_buses();
         self.set_device_id(at);
         self.restarts += 1;
@@ -221,7 +218,7 @@ impl Mcu for Chip {
         self.flash = flash::unit();
         for (nth, timer) in self.advanced.iter_mut().enumerate() {
             *timer = trigger::timer(nth);
-            timer.hook.begin(at);
+            timer.hook.start_counting(at);
         }
         for (nth, converter) in self.converters.iter_mut().enumerate() {
             let mut fresh = trigger::converter(nth);

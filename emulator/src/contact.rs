@@ -13,7 +13,7 @@ use crate::run::{MILLISECOND, SECOND};
 
 /// A wall relative to the tip's initial position.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WallAt {
+pub struct NearWall {
     /// Unit normal towards the free side.
     pub normal: [f64; 3],
     /// Radius of a sphere, m, or `None` for a plane.
@@ -28,18 +28,17 @@ pub struct WallAt {
     pub feed_forward: &'static str,
 }
 
-impl WallAt {
+impl NearWall {
     /// Returns a wall of 500 N/m with the full feed-forward, 3 mm from the tip.
     #[must_use]
-    pub fn facing(normal: [f64; 3]) -> Self {
+    pub fn with_normal(normal: [f64; 3]) -> Self {
         Self { normal, radius: None, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
     }
 }
 
-/// Returns the text of a scene file with `head` and with `walls` in front of a tip at `tip`. `task` is the task
-/// dimension.
+/// Returns the text of a scene file with `head` and with `walls` in front of `tip` (m), in `task` dimensions.
 #[must_use]
-pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String {
+pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[NearWall]) -> String {
     let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
     let mut text = head.to_owned();
     for wall in walls {
@@ -49,7 +48,7 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
             Some(radius) => format!("[[wall]]\nshape = \"sphere\"\npoint = [{point}]\nradius = {radius:?}\n"),
             None => format!("[[wall]]\npoint = [{point}]\nnormal = [{}]\n", list(wall.normal)),
         };
-        let WallAt { stiffness, damping, feed_forward, .. } = wall;
+        let NearWall { stiffness, damping, feed_forward, .. } = wall;
         text += &format!("stiffness = {stiffness:?}\ndamping = {damping:?}\nfeed_forward = \"{feed_forward}\"\n");
     }
     text
@@ -63,11 +62,11 @@ impl Rig {
         kind: impl Into<&'static Wiring>,
         name: &str,
         head: &str,
-        walls: &[WallAt],
+        walls: &[NearWall],
         newtons: f64,
     ) -> Self {
         let mut rig = Self::with_device(kind, name, |_| ());
-        rig.arm_before(head, walls);
+        rig.arm_near_walls(head, walls);
         let force = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
         rig.with_simulated(move |device| push(device, force, 0.3));
         rig.run(SECOND / 2);
@@ -94,7 +93,7 @@ impl Rig {
         self.with_simulated(|device| device.set_support(Support::None));
     }
 
-    /// Returns the board's encoder counts. Motion before the board's start is not included.
+    /// Returns the board's encoder counts, which are 0 at the board's start.
     fn counts(&mut self) -> [i32; 3] {
         self.tool.start_stream(Fields(Field::Counts.bit()), 1).expect("a stream starts");
         let mut rows = Vec::new();
@@ -106,9 +105,8 @@ impl Rig {
         std::array::from_fn(|i| counts.get(i).map_or(0, |count| *count as i32))
     }
 
-    /// Prepares the device, loads `walls` in front of the tip where it is after the polarity check, and arms. Returns
-    /// the text of the scene.
-    pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) -> String {
+    /// Prepares the device, loads `walls` in front of the tip, and arms. Returns the text of the scene.
+    pub fn arm_near_walls(&mut self, head: &str, walls: &[NearWall]) -> String {
         self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());
         let task = self.file.as_ref().map_or(2, |file: &DeviceFile| file.spec().task);

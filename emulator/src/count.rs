@@ -1,5 +1,5 @@
-//! Counts the instructions between the markers of a counting image on the emulated chip. The counts are exact and equal
-//! in every run.
+//! Counts the instructions between the markers of a counting image on the emulated chip, exactly and equally in each
+//! run.
 //!
 //! The image is any ELF file for the chip with these symbols. They need `#[unsafe(no_mangle)]`, `#[inline(never)]` and
 //! different bodies, because the linker merges equal functions.
@@ -13,9 +13,9 @@
 //! Inputs and outputs between the markers must pass through `core::hint::black_box`, because the compiler may move
 //! other work outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
 //!
-//! For each call of a variant, the instructions from entering `bench_begin` to entering `bench_end` count. The variant
-//! `empty` has nothing between the markers, so its count is the cost of the markers, which is subtracted from the other
-//! variants. Variants are reported in the order of their first call, each with its longest call.
+//! The count of a call goes from the entry of `bench_begin` to the entry of `bench_end`. The variant `empty` has
+//! nothing between the markers. Its count, the cost of the markers, is subtracted from the other variants. Variants are
+//! reported in the order of their first call, each with its longest call.
 
 use std::fmt::Display;
 
@@ -32,28 +32,28 @@ use crate::image::{Firmware, Symbol};
 /// Returns an error if the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, String> {
     let driver = Counter {
-        begin: firmware.symbol("bench_begin")?.address,
-        end: firmware.symbol("bench_end")?.address,
-        done: firmware.symbol("bench_done")?.address,
+        begin_address: firmware.symbol("bench_begin")?.address,
+        end_address: firmware.symbol("bench_end")?.address,
+        done_address: firmware.symbol("bench_done")?.address,
         name: firmware.symbol("BENCH_NAME")?,
-        until: VirtualNanos(seconds * 1_000_000_000),
+        deadline: VirtualNanos(seconds * 1_000_000_000),
         watches_are_set: false,
         open_call: None,
-        finished: false,
+        is_finished: false,
         violation: None,
         variants: Vec::new(),
     };
     let emulator = |error: &dyn Display| format!("the emulator stopped: {error}");
-    let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
+    let hardware = Hardware::without_board().map_err(|error| emulator(&error))?;
     // Watches can be set only while the emulator is stopped, so the first stop is after 1 ns.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
     let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;
-    let Counter { violation, finished, mut variants, .. } = finished.driver;
+    let Counter { violation, is_finished, mut variants, .. } = finished.driver;
     if let Some(reason) = violation {
         return Err(format!("the image breaks the marker convention: {reason}"));
     }
-    if !finished {
+    if !is_finished {
         return Err(format!("bench_done was not reached in {seconds} virtual seconds: did the image panic?"));
     }
     if let Some(empty) = variants.iter().position(|(name, _)| name == "empty") {
@@ -64,14 +64,14 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
 }
 
 struct Counter {
-    begin: u64,
-    end: u64,
-    done: u64,
+    begin_address: u64,
+    end_address: u64,
+    done_address: u64,
     name: Symbol,
-    until: VirtualNanos,
+    deadline: VirtualNanos,
     watches_are_set: bool,
     open_call: Option<(String, u64)>,
-    finished: bool,
+    is_finished: bool,
     violation: Option<&'static str>,
     /// Name of each variant, and the instructions of its longest call including the markers.
     variants: Vec<(String, u64)>,
@@ -79,12 +79,12 @@ struct Counter {
 
 impl Counter {
     fn on_hit(&mut self, hit: Hit, host: &mut dyn Host) {
-        if hit.address == self.begin {
+        if hit.address == self.begin_address {
             match variant_name(self.name, host) {
                 Some(name) => self.open_call = Some((name, hit.instruction_count)),
                 None => self.violation = Some("BENCH_NAME does not point at text"),
             }
-        } else if hit.address == self.end {
+        } else if hit.address == self.end_address {
             let Some((name, from)) = self.open_call.take() else {
                 self.violation = Some("bench_end without bench_begin");
                 return;
@@ -94,8 +94,8 @@ impl Counter {
                 Some((_, longest)) => *longest = instructions.max(*longest),
                 None => self.variants.push((name, instructions)),
             }
-        } else if hit.address == self.done {
-            self.finished = true;
+        } else if hit.address == self.done_address {
+            self.is_finished = true;
         }
     }
 }
@@ -104,7 +104,7 @@ impl Driver<Hardware> for Counter {
     fn on_settled(&mut self, session: &mut Session<Hardware>, host: &mut dyn Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.on_hit(hit, host);
-            if self.finished || self.violation.is_some() {
+            if self.is_finished || self.violation.is_some() {
                 session.run_until(hit.at);
             }
         }
@@ -113,12 +113,12 @@ impl Driver<Hardware> for Counter {
     fn on_stop(&mut self, session: &mut Session<Hardware>, stop: Stop, _host: &mut dyn Host) -> Option<VirtualNanos> {
         if !self.watches_are_set {
             self.watches_are_set = true;
-            for address in [self.begin, self.end, self.done] {
+            for address in [self.begin_address, self.end_address, self.done_address] {
                 session.watch(Watch::Instruction(address));
             }
         }
-        let over = self.finished || self.violation.is_some() || stop.at >= self.until;
-        (!over).then_some(self.until)
+        let over = self.is_finished || self.violation.is_some() || stop.at >= self.deadline;
+        (!over).then_some(self.deadline)
     }
 }
 

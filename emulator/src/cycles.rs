@@ -1,5 +1,4 @@
-//! Estimates (does not measure) the cycles of a path of instructions on a Cortex-M4F that runs from the flash of an
-//! STM32F405 at 168 MHz.
+//! Estimates the cycles of a path of instructions that a Cortex-M4F runs from the flash of an STM32F405 at 168 MHz.
 //!
 //! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
 //! 7.2.3). A load after a load is pipelined. A taken branch refills the pipeline in two cycles (one to three in the
@@ -7,8 +6,8 @@
 //!
 //! The flash has five wait states per line of 16 bytes, which an accelerator hides (RM0090 sections 3.5.1 and 3.5.2).
 //! The accelerator has a cache of 64 instruction lines, a cache of 8 constant lines, and a prefetch of the next line. A
-//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers reply
-//! at once. The bus load of DMA and USB is not included.
+//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers have no
+//! wait states. The bus load of DMA and USB is not included.
 
 use std::collections::VecDeque;
 
@@ -18,16 +17,16 @@ use crate::trace::Code;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
     /// No wait states, so that only the core needs time.
-    AtOnce,
+    NoWaitStates,
     /// Wait states with both caches and prefetch.
-    Accelerated,
+    WithCaches,
     /// Wait states for every line, as after a reset.
-    Bare,
+    WithoutCaches,
 }
 
 impl Flash {
     /// All models, fastest first.
-    pub const ALL: [Self; 3] = [Self::AtOnce, Self::Accelerated, Self::Bare];
+    pub const ALL: [Self; 3] = [Self::NoWaitStates, Self::WithCaches, Self::WithoutCaches];
 }
 
 /// Wait states at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
@@ -57,12 +56,12 @@ struct Cost {
 }
 
 impl Cost {
-    fn of(length: u32, cycles: u64) -> Self {
+    fn new(length: u32, cycles: u64) -> Self {
         Self { length, cycles, is_load: false, constant: None, writes: None, reads: [None; 2] }
     }
 
     fn load(length: u32, constant: Option<u32>) -> Self {
-        Self { is_load: true, constant, ..Self::of(length, 2) }
+        Self { is_load: true, constant, ..Self::new(length, 2) }
     }
 }
 
@@ -73,18 +72,18 @@ fn literal_address(at: u32, words: u16) -> Option<u32> {
 
 /// Returns the cost of the instruction at `at`, decoded as in the ARMv7-M Architecture Reference Manual (A5, A6).
 fn cost(code: &Code, at: u32) -> Cost {
-    let first = code.half(at);
+    let first = code.half_word(at);
     if first >> 11 >= 0b11101 {
-        return wide_cost(first, code.half(at + 2), at);
+        return wide_cost(first, code.half_word(at + 2), at);
     }
     match first {
         0x4800..0x5000 => Cost::load(2, literal_address(at, first & 0xFF)),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
         // PUSH and POP, then STM and LDM.
-        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::of(2, 1 + u64::from((first & 0x1FF).count_ones())),
-        0xC000..0xD000 => Cost::of(2, 1 + u64::from((first & 0xFF).count_ones())),
-        _ => Cost::of(2, 1),
+        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::new(2, 1 + u64::from((first & 0x1FF).count_ones())),
+        0xC000..0xD000 => Cost::new(2, 1 + u64::from((first & 0xFF).count_ones())),
+        _ => Cost::new(2, 1),
     }
 }
 
@@ -92,17 +91,17 @@ fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
         // LDM and STM, then TBB, then LDRD, STRD and the exclusive variants.
-        _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
-        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
-        _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
+        _ if first & 0xFE40 == 0xE800 => Cost::new(4, 1 + u64::from(second.count_ones())),
+        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::new(4, 2),
+        _ if first & 0xFE40 == 0xE840 => Cost::new(4, 3),
         // VLDR and VSTR, then VMOV of two registers, then VLDM and VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
             (true, 0xF) => Cost::load(4, literal_address(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
-            (false, _) => Cost::of(4, 2),
+            (false, _) => Cost::new(4, 2),
         },
-        _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
-        _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
+        _ if first & 0xFFE0 == 0xEC40 => Cost::new(4, 2),
+        _ if first & 0xFE00 == 0xEC00 => Cost::new(4, 1 + u64::from(second & 0xFF)),
         _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => fpu_cost(first, second),
         // LDR, also of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
@@ -110,8 +109,8 @@ fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
         }
         // SDIV and UDIV in their longest time.
-        _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
-        _ => Cost::of(4, 1),
+        _ if first & 0xFFD0 == 0xFB90 => Cost::new(4, 12),
+        _ => Cost::new(4, 1),
     }
 }
 
@@ -129,15 +128,15 @@ fn fpu_cost(first: u16, second: u16) -> Cost {
     Cost {
         writes: register(second >> 12, first >> 6),
         reads: [if unary { None } else { register(first, second >> 7) }, register(second, second >> 5)],
-        ..Cost::of(4, cycles)
+        ..Cost::new(4, cycles)
     }
 }
 
 /// Cached lines, the most recently used line first.
 #[derive(Debug, Default)]
-struct Lines(VecDeque<u32>);
+struct CachedLines(VecDeque<u32>);
 
-impl Lines {
+impl CachedLines {
     /// Makes `line` the newest of at most `capacity` cached lines. Returns true if it was cached before.
     fn use_line(&mut self, line: u32, capacity: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
@@ -159,8 +158,8 @@ struct FlashState {
     free_at: u64,
     line: Option<u32>,
     prefetched_line: Option<u32>,
-    instructions: Lines,
-    constants: Lines,
+    instructions: CachedLines,
+    constants: CachedLines,
 }
 
 impl FlashState {
@@ -170,12 +169,12 @@ impl FlashState {
         self.free_at = self.now;
     }
 
-    fn instruction(&mut self, at: u32) {
+    fn fetch_instruction(&mut self, at: u32) {
         let line = at / LINE_BYTES;
-        if self.flash == Flash::AtOnce || self.line.replace(line) == Some(line) {
+        if self.flash == Flash::NoWaitStates || self.line.replace(line) == Some(line) {
             return;
         }
-        if self.flash == Flash::Bare {
+        if self.flash == Flash::WithoutCaches {
             return self.read();
         }
         if !self.instructions.use_line(line, INSTRUCTION_LINES) {
@@ -192,8 +191,8 @@ impl FlashState {
     }
 
     fn load_constant(&mut self, at: u32) {
-        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::Accelerated;
-        if self.flash != Flash::AtOnce && !is_cached {
+        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::WithCaches;
+        if self.flash != Flash::NoWaitStates && !is_cached {
             self.read();
         }
     }
@@ -208,14 +207,14 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         free_at: 0,
         line: None,
         prefetched_line: None,
-        instructions: Lines::default(),
-        constants: Lines::default(),
+        instructions: CachedLines::default(),
+        constants: CachedLines::default(),
     };
-    let mut before = Cost::of(0, 0);
+    let mut before = Cost::new(0, 0);
     for (nth, &at) in path.iter().enumerate() {
         let cost = cost(code, at);
-        state.instruction(at);
-        state.instruction(at + cost.length - 1);
+        state.fetch_instruction(at);
+        state.fetch_instruction(at + cost.length - 1);
         if let Some(constant) = cost.constant {
             state.load_constant(constant);
         }
@@ -235,18 +234,18 @@ mod tests {
     const NOP: u16 = 0xBF00;
 
     fn cycles_of(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
-        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION_CYCLES
+        estimate(&Code::new(0x1000, halves), path, flash) - EXCEPTION_CYCLES
     }
 
     #[test]
     fn prefetch_hides_all_lines_but_the_first() {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
-        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), 24);
+        assert_eq!(cycles_of(&code, &path, Flash::NoWaitStates), 24);
         // All three lines have their wait states.
-        assert_eq!(cycles_of(&code, &path, Flash::Bare), 24 + 3 * 5);
+        assert_eq!(cycles_of(&code, &path, Flash::WithoutCaches), 24 + 3 * 5);
         // Only the first line is late. A fetch takes six cycles, and executing the line before it takes eight.
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 24 + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), 24 + 5);
     }
 
     #[test]
@@ -254,7 +253,7 @@ mod tests {
         // With four `movw r0, #0` per line, each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), 12 + 5 + 2 * 2);
     }
 
     #[test]
@@ -263,13 +262,13 @@ mod tests {
         let code = [NOP, 0xE7FD];
         let path: Vec<u32> = [0x1000, 0x1002].repeat(10);
         let core = 20 + 9 * REFILL_CYCLES;
-        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), core);
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), core + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::NoWaitStates), core);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), core + 5);
     }
 
     #[test]
     fn instructions_have_the_costs_of_the_manual() {
-        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::AtOnce);
+        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::NoWaitStates);
         assert_eq!(alone(&[0x6808]), 2, "ldr r0, [r1]");
         assert_eq!(alone(&[0x6008]), 1, "str r0, [r1]");
         assert_eq!(alone(&[0xB5F0]), 6, "push {{r4-r7, lr}}");

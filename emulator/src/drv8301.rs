@@ -18,7 +18,7 @@ const SHORTED_INPUTS: u16 = 0b11 << 4;
 /// One gate driver.
 #[derive(Debug, Default)]
 pub struct Drv8301 {
-    enabled: bool,
+    is_enabled: bool,
     control: [u16; 2],
     fault: u16,
     next_reply: u16,
@@ -31,8 +31,8 @@ impl Store for Drv8301 {}
 impl Drv8301 {
     /// Sets the level of EN_GATE. A low level resets every register and clears the faults.
     pub fn enable(&mut self, enabled: bool) {
-        if self.enabled != enabled {
-            *self = Self { enabled, ignores_writes: self.ignores_writes, ..Self::default() };
+        if self.is_enabled != enabled {
+            *self = Self { is_enabled: enabled, ignores_writes: self.ignores_writes, ..Self::default() };
         }
     }
 
@@ -44,7 +44,7 @@ impl Drv8301 {
     /// Returns true if the driver pulls the fault line low.
     #[must_use]
     pub fn pulls_fault(&self) -> bool {
-        self.enabled && self.fault != 0
+        self.is_enabled && self.fault != 0
     }
 
     /// Makes the control registers ignore writes, as in a missing or broken driver.
@@ -57,12 +57,11 @@ impl Drv8301 {
         self.control = [0; 2];
     }
 
-    /// Returns the gain of the shunt amplifiers, which is 0 while their inputs are shorted, or `None` while they are
-    /// off.
+    /// Returns the gain of the shunt amplifiers (0 while their inputs are shorted), or `None` while the driver is off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
         let shorted = self.control[1] & SHORTED_INPUTS != 0;
-        self.enabled.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
+        self.is_enabled.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
     }
 
     /// Returns the control registers.
@@ -84,7 +83,7 @@ impl Drv8301 {
 impl Peer for Drv8301 {
     fn transfer(&mut self, mosi: u32, bits: u8, _: &mut Timeline<'_, '_>) -> u32 {
         // While off, and in frames of unknown length, the driver leaves the line to the pull-up.
-        if !self.enabled || bits != 16 {
+        if !self.is_enabled || bits != 16 {
             return (1 << bits) - 1;
         }
         let reply = u32::from(self.next_reply);

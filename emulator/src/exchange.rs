@@ -38,12 +38,11 @@ pub struct Exchanges {
     /// Losses of telemetry.
     pub losses: Losses,
     /// True if the motors were on at the end and no fault is latched.
-    pub armed: bool,
+    pub is_armed: bool,
 }
 
 /// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
-/// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply, so 1 waits for
-/// each reply.
+/// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply at a time.
 pub fn run(
     rig: &mut Rig,
     (fields, divider): (Fields, u32),
@@ -54,7 +53,7 @@ pub fn run(
 ) -> Exchanges {
     start(rig, (fields, divider));
     let (before, began) = (rig.steps(), rig.now());
-    let (mut times, rejected) = push(rig, milliseconds, contact, ahead);
+    let (mut times, rejected) = send_requests(rig, milliseconds, contact, ahead);
     let (after, ended) = (rig.steps(), rig.now());
     let losses = rig.tool.losses();
     rig.tool.stop_stream().expect("the stream stops");
@@ -71,7 +70,7 @@ pub fn run(
         periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
         overruns: details.overruns,
         losses,
-        armed: status.state == State::Armed && status.fault.is_none(),
+        is_armed: status.state == State::Armed && status.fault.is_none(),
     }
 }
 
@@ -86,7 +85,7 @@ fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
 }
 
 /// Sends requests. Returns the duration of each exchange (ns), and the number of rejected requests.
-fn push(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
+fn send_requests(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
     let began = rig.now();
     let end = began + milliseconds * MILLISECOND;
     let (mut times, mut seen, mut rejected) = (Vec::new(), None, 0);

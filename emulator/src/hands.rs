@@ -29,10 +29,10 @@ pub fn suspend_device(device: &mut SimulatedDevice) {
     device.set_hand(Hand::new(band, Intent::Follow(path), device.tip(), device.time()));
 }
 
-/// Makes a firm hand move the tip to and fro by `reach` (m) for `seconds`.
-pub fn move_to_and_fro(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
+/// Makes a firm hand move the tip to and fro by `distance` (m) for `seconds`.
+pub fn move_to_and_fro(device: &mut SimulatedDevice, distance: f64, seconds: f64) {
     let tip = device.tip();
-    let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + reach } else { x });
+    let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + distance } else { x });
     let path = (0..=(10.0 * seconds) as u32).map(|k| Waypoint { time: 0.1 * f64::from(k), value: place(k) }).collect();
     device.set_hand(Hand::new(firm_settings(), Intent::Follow(path), tip, device.time()));
 }

@@ -26,8 +26,8 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. A cycle estimate of a control
-/// step on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3 cycles.
+/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. The cycle estimate of a
+/// control step with hidden wait states gives 1.9 to 2.3 cycles per instruction.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
 /// Time between two steps of the plant without a carrier, which is half a period of the slowest carrier, ns.
@@ -47,7 +47,7 @@ const BREAK_AND_DEAD_TIME: u32 = 0x44;
 const MAIN_OUTPUT: u64 = 1 << 15;
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// Supply of a bare chip, mV.
-const RAIL_MV: u32 = 3300;
+const SUPPLY_MV: u32 = 3300;
 /// Index of SPI3 in rigless.
 const SPI3: usize = 2;
 
@@ -71,7 +71,7 @@ pub struct Hardware {
     /// Number of edges of each encoder that its timer will miss.
     pub edges_lost: [u32; 3],
     /// True if the wire from the bus divider to the chip's pin is cut. Takes effect at the next start.
-    pub bus_cut: bool,
+    pub is_bus_cut: bool,
     /// Other injected errors.
     pub faults: BoardFaults,
     /// Largest values since the last reset of this field.
@@ -97,10 +97,10 @@ impl Store for Hardware {}
 impl Hardware {
     /// Returns a bare chip with a crystal and a supply, for images that need no board.
     /// Returns an error if the description of the part is wrong, which is a bug in this crate.
-    pub fn bare() -> Result<Self, rigless::soc::Error> {
+    pub fn without_board() -> Result<Self, rigless::soc::Error> {
         let mut chip = Chip::new()?;
         chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
-        chip.set_supply(RAIL_MV);
+        chip.set_supply(SUPPLY_MV);
         Ok(Self {
             chip,
             wiring: None,
@@ -108,7 +108,7 @@ impl Hardware {
             fault_line_shorted: false,
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
-            bus_cut: false,
+            is_bus_cut: false,
             faults: BoardFaults::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
@@ -124,7 +124,7 @@ impl Hardware {
     /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
-        let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
+        let mut hardware = Self { wiring: Some(wiring), plant, ..Self::without_board()? };
         hardware.chip.set_supply(wiring.supply_mv);
         for select in wiring.driver_selects {
             let (port, pin) = port_and_pin(*select);
@@ -145,8 +145,7 @@ impl Hardware {
         self.motor_inputs
     }
 
-    /// Returns true if no bridge drives its motor now, because the main outputs are disabled and the enable line is
-    /// low.
+    /// Returns true if no bridge drives its motor: all main outputs are disabled and the enable line is low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
@@ -169,10 +168,10 @@ impl Hardware {
             self.break_level = None;
             // A starting chip must find the levels of encoders that have not moved.
             for (axis, wires) in wiring.encoders.iter().enumerate() {
-                self.show_phase(at, axis, wires);
+                self.set_encoder_phase(at, axis, wires);
             }
             let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.zero_current_volts());
-            self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
+            self.drive_pin(wiring.bus_pin(), (!self.is_bus_cut).then_some(bus_level), at);
             wiring.pins_held_high.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
@@ -214,12 +213,12 @@ impl Hardware {
         for (encoder, counts) in self.encoders.iter_mut().zip(self.faults.counts(self.plant.counts(), self.samples)) {
             encoder.wanted_count = counts;
         }
-        self.show_analog(wiring);
-        self.show_levels(wiring, at);
+        self.set_analog_inputs(wiring);
+        self.set_levels(wiring, at);
     }
 
     fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> MotorInput {
-        let joined = motor.gates.iter().all(|&gate| self.function(gate) == Some(motor.function));
+        let joined = motor.gates.iter().all(|&gate| self.alternate_function(gate) == Some(motor.function));
         if !enabled || !joined || span.length_ns == 0 {
             return MotorInput::Floating;
         }
@@ -235,13 +234,13 @@ impl Hardware {
     }
 
     /// Returns the alternate function that a pin has now.
-    fn function(&mut self, pin: Pin) -> Option<u8> {
+    fn alternate_function(&mut self, pin: Pin) -> Option<u8> {
         let (port, pin) = port_and_pin(pin);
         let (_, registers) = self.chip.port(port);
         Gpio::function(pin, registers)
     }
 
-    fn show_analog(&mut self, wiring: &Wiring) {
+    fn set_analog_inputs(&mut self, wiring: &Wiring) {
         let currents = self.plant.currents();
         let mut nth = 0;
         for (axis, motor) in wiring.motors.iter().enumerate() {
@@ -251,15 +250,15 @@ impl Hardware {
                 let volts = gain.map_or(0.0, |gain| {
                     wiring.zero_current_volts() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
-                self.show_volts(wiring, channel, volts);
+                self.set_input_volts(wiring, channel, volts);
                 nth += 1;
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(wiring, channel, self.faults.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
+        self.set_input_volts(wiring, channel, self.faults.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
-    fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
+    fn set_input_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
         let channel = AnalogChannel::new(channel).expect("a pin channel");
         // A float-to-int `as` saturates, like an input that is clamped to its rails. The converters have only one
         // reference voltage, so the input is scaled by the board's reference.
@@ -270,13 +269,13 @@ impl Hardware {
         }
     }
 
-    fn show_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
+    fn set_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
         let pulled =
             self.fault_line_shorted || (0..wiring.driver_selects.len()).any(|nth| self.driver(nth).pulls_fault());
         self.set_pin(wiring.fault, Level::from(!pulled), at);
         if wiring.fault_is_break_input {
             let level = Level::from(!pulled);
-            if self.break_level != Some(level) && self.function(wiring.fault) == Some(1) {
+            if self.break_level != Some(level) && self.alternate_function(wiring.fault) == Some(1) {
                 self.break_level = Some(level);
                 let slot = self.chip.bus().slot_of("TIM1").expect("the part has TIM1");
                 let (bus, timers) = self.chip.bus_and_timers();
@@ -291,7 +290,7 @@ impl Hardware {
             self.set_pin(encoder.index, Level::from(mark), at);
             if rises {
                 let (port, line) = port_and_pin(encoder.index);
-                self.chip.rising_edge(at, port, line.bit());
+                self.chip.apply_rising_edge(at, port, line.bit());
             }
         }
     }
@@ -331,15 +330,15 @@ impl Hardware {
                 continue;
             }
             if !self.encoders_unplugged[axis]
-                && wires.pins.iter().all(|&pin| self.function(pin) == Some(wires.function))
+                && wires.pins.iter().all(|&pin| self.alternate_function(pin) == Some(wires.function))
             {
-                self.show_phase(at, axis, wires);
+                self.set_encoder_phase(at, axis, wires);
             }
         }
         moving
     }
 
-    fn show_phase(&mut self, at: VirtualNanos, axis: usize, wires: &EncoderWires) {
+    fn set_encoder_phase(&mut self, at: VirtualNanos, axis: usize, wires: &EncoderWires) {
         let levels = QUADRATURE[self.encoders[axis].shown_count.rem_euclid(4) as usize];
         for (channel, level) in (1..).zip(levels) {
             let channel = Channel::new(channel).expect("a timer has four channels");

@@ -60,7 +60,7 @@ impl Firmware {
     /// Returns the release image of the board `name`, built by `cargo xtask fw`. An up-to-date image is not built
     /// again. If `HAPTIC_FIRMWARE_DIR` is set, the image is read from that directory.
     /// Returns an error if the image cannot be built or read.
-    pub fn of(name: &str) -> Result<Self, String> {
+    pub fn build(name: &str) -> Result<Self, String> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-firmware-{name}.elf")));
         }

@@ -1,8 +1,7 @@
-//! Injects all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, and report.rs
-//! describes it.
+//! Injects every fault into the unmodified image on the emulated chip. provoke.rs checks the board's reaction, and
+//! report.rs writes the table of the results.
 //!
-//! The match over all faults is exhaustive, so a fault without an injection does not compile. Faults that the boards
-//! cannot detect are marked.
+//! The match over all faults is exhaustive, so a fault without an injection does not compile.
 
 use std::f64::consts::PI;
 
@@ -15,7 +14,7 @@ use haptic_sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
-use crate::contact::WallAt;
+use crate::contact::NearWall;
 use crate::hands::{firm_settings, hold, move_to_and_fro, push};
 use crate::image::{CODE_RANGE, SETTINGS_RANGE};
 use crate::rig::{Rig, device_file, firmware};
@@ -25,14 +24,14 @@ mod provoke;
 mod report;
 mod stub;
 
-pub use provoke::{Outcome, bridges_off, provoke};
+pub use provoke::{Outcome, bridges_are_off, provoke};
 pub use report::{describe, row, table};
-pub use stub::run_instead;
+pub use stub::replace_task;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 
 /// The way to cause a fault.
 pub enum Injection {
-    /// Caused on the emulated chip.
+    /// The fault is caused on the emulated chip.
     Chip {
         /// Description of the cause.
         description: &'static str,
@@ -43,7 +42,7 @@ pub enum Injection {
         /// Longest time until the fault is detected, ms.
         within_ms: u64,
     },
-    /// Not detectable on the boards, for this reason.
+    /// The boards cannot detect the fault, for this reason.
     Undetectable(&'static str),
 }
 
@@ -59,12 +58,12 @@ fn rig_in_contact() -> Rig {
 
 /// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
-    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
+    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[NearWall::with_normal([0.0, -1.0, 0.0])], newtons)
 }
 
 fn free_rig_on(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, FIVE_BAR, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -98,9 +97,9 @@ fn rig_with_nmi_wire() -> Rig {
 }
 
 fn change_and_reset(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
-    rig.with(cause);
+    rig.while_stopped(cause);
     rig.run(MICROSECOND);
-    rig.with(|stopped| stopped.reset());
+    rig.while_stopped(|stopped| stopped.reset());
 }
 
 /// Returns the way to cause `fault`.
@@ -114,9 +113,9 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|stopped| stopped.hold_core(true));
+                rig.while_stopped(|stopped| stopped.hold_core(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|stopped| stopped.hold_core(false));
+                rig.while_stopped(|stopped| stopped.hold_core(false));
             },
             5,
         ),
@@ -140,7 +139,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a motor pushes at its limit",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
+                rig.while_stopped(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 change_rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
@@ -150,7 +149,7 @@ pub fn injection(fault: Fault) -> Injection {
             free_rig,
             |rig| {
                 change_rules(rig, |rules| rules.limits.speed = [4.0; 3]);
-                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
+                rig.while_stopped(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 push_tip(rig, [3.0, 3.0, 0.0]);
             },
             2_000,
@@ -160,7 +159,7 @@ pub fn injection(fault: Fault) -> Injection {
             "20 encoder edges lost between two passes of the index mark",
             rig_with_index,
             |rig| {
-                rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
+                rig.while_stopped(|stopped| stopped.hardware().edges_lost[0] = 20);
                 rig.with_simulated(|device| sweep(device, -HALF_SWEEP_METRES, HALF_SWEEP_METRES));
             },
             2_000,
@@ -184,7 +183,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A too much",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
             },
             5,
         ),
@@ -222,7 +221,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
+                rig.while_stopped(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
             },
             5,
         ),
@@ -236,7 +235,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     for at in (0x2000_0000..0x2002_0000).step_by(4) {
                         if stopped.word(at) == Some(MARKER_STIFFNESS.to_bits()) {
                             stopped.poke(at, f32::NAN.to_bits());
@@ -263,19 +262,19 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::Watchdog => chip(
             "a task that never returns",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
             500,
         ),
         Fault::StackOverflow => chip(
             "a task that pushes registers in an infinite loop",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
             500,
         ),
         Fault::HardFault => chip(
             "a task that runs into an undefined instruction",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
             500,
         ),
         Fault::Panic => chip(
@@ -285,7 +284,7 @@ pub fn injection(fault: Fault) -> Injection {
                 let handler =
                     firmware(rig.kind).find_ending("5reset12record_panic").expect("the panic handler").address as u32;
                 // The code is `ldr.w pc, [pc, #0]`, then the address.
-                run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
+                replace_task(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
             500,
         ),
@@ -298,7 +297,7 @@ pub fn injection(fault: Fault) -> Injection {
                     rig.tool.set_name(&name.try_into().expect("a short name")).expect("the board takes a name");
                     rig.tool.save().expect("the settings are written");
                 }
-                rig.ready();
+                rig.home_and_arm();
                 rig
             },
             |rig| {
@@ -310,7 +309,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the break line pulled down",
             || free_rig_on(BoardKind::HBridgeF405),
             |rig| {
-                rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+                rig.while_stopped(|stopped| stopped.hardware().fault_line_shorted = true);
             },
             5,
         ),
@@ -359,7 +358,7 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors that show two thirds of the current, in the polarity check",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
                 rig.tool.check_polarity().expect("the check starts");
             },
             30_000,
@@ -384,7 +383,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a converter that is no longer triggered",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.stopped = true);
+                rig.while_stopped(|stopped| stopped.hardware().chip.converters[0].hook.ignores_triggers = true);
             },
             5,
         ),
@@ -397,7 +396,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
             },
             5,
         ),
@@ -405,7 +404,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed_rig(2.5),
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -413,7 +412,7 @@ pub fn injection(fault: Fault) -> Injection {
             "both current sensors of a motor show nothing",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     stopped.hardware().faults.sensor_gain[0] = 0.0;
                     stopped.hardware().faults.sensor_gain[1] = 0.0;
                 });
@@ -424,7 +423,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver that loses its settings while nothing pushes",
             free_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(0).reset_control_registers());
+                rig.while_stopped(|stopped| stopped.hardware().driver(0).reset_control_registers());
             },
             50,
         ),
@@ -432,7 +431,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge stuck at a duty of 20 % before arming",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
+                rig.while_stopped(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,
@@ -441,7 +440,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the crystal stops",
             rig_with_nmi_wire,
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     let at = VirtualNanos(stopped.at);
                     if stopped.hardware().chip.stop_crystal(at) {
                         stopped.poke(NMI_FLAG, 1 << 31);
@@ -454,9 +453,9 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.set_supply(2700));
+                rig.while_stopped(|stopped| stopped.set_supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|stopped| stopped.set_supply(3300));
+                rig.while_stopped(|stopped| stopped.set_supply(3300));
             },
             5,
         ),
@@ -469,7 +468,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::WrongBoard => chip(
             "the wire from the bus divider to the chip's pin cut, then a reset",
             disarmed_rig,
-            |rig| change_and_reset(rig, |stopped| stopped.hardware().bus_cut = true),
+            |rig| change_and_reset(rig, |stopped| stopped.hardware().is_bus_cut = true),
             500,
         ),
         Fault::RamDamaged => chip(
@@ -478,7 +477,7 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 change_and_reset(rig, |_| ());
                 rig.run(MILLISECOND);
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     let word = stopped.word(STACK_WORD).expect("there is RAM");
                     stopped.poke(STACK_WORD, word ^ 1 << 7);
                 });
@@ -505,7 +504,7 @@ fn free_rig_within(angle: f64) -> Rig {
         joint.limits = Some((home - angle, home + angle));
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -532,7 +531,7 @@ fn rig_with_index() -> Rig {
         }
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     change_rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
     rig.with_simulated(|device| sweep(device, 0.0, HALF_SWEEP_METRES));
     rig.run(SECOND);
@@ -564,7 +563,8 @@ fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
 /// Runs until `microseconds` after a crest.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
-    let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
+    let crest =
+        rig.while_stopped(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
     let period = 50 * MICROSECOND;
     let next = crest + ((now - crest) / period + 1) * period + microseconds * MICROSECOND;
     rig.run(next - now);

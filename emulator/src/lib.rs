@@ -1,5 +1,4 @@
-//! The virtual board: the unmodified firmware image on an emulated STM32F405, with the hardware of a board around the
-//! chip.
+//! The virtual board: the unmodified firmware image on an emulated STM32F405, and the board's hardware around the chip.
 //!
 //! [`chip`] is the microcontroller, [`hardware`] is the board around it, and [`image`] is the ELF file that runs on it.
 //! [`count`] counts the instructions between the markers of a counting image.

@@ -13,7 +13,7 @@ use haptic_host::link::Losses;
 use haptic_sim::TIMER_HZ;
 
 use crate::cases::Case;
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::exchange;
 use crate::rig::Rig;
 use crate::run::MILLISECOND;
@@ -32,7 +32,7 @@ pub struct Load {
     /// Number of telemetry rows that were due.
     pub due_rows: u64,
     /// True if the walls were still rendered at the end.
-    pub armed: bool,
+    pub is_armed: bool,
     /// The latched fault.
     pub fault: Option<FaultRecord>,
     /// Stack that was never used since the start, bytes.
@@ -43,7 +43,7 @@ impl Load {
     /// Returns true if every period had its step.
     #[must_use]
     pub fn is_in_time(&self) -> bool {
-        self.armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
+        self.is_armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
     }
 }
 
@@ -106,7 +106,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
         overruns: details.overruns.wrapping_sub(overruns),
         losses,
         due_rows: u64::from(last.wrapping_sub(first) / divider) + 1,
-        armed: status.state == State::Armed,
+        is_armed: status.state == State::Armed,
         fault: status.fault,
         stack_free: details.stack_free,
     }
@@ -122,7 +122,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
     let tip = rig.with_simulated(|device| device.tip());
     let walls = [([0.0, -1.0, 0.0], 0.02), ([-1.0, 0.0, 0.0], 0.05)]
-        .map(|(normal, gap)| WallAt { gap, ..WallAt::facing(normal) });
+        .map(|(normal, gap)| NearWall { gap, ..NearWall::with_normal(normal) });
     let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
     rig.set_scene(&scene(&head, tip, task, &walls[..1 + nth % 2]));
 }
@@ -154,11 +154,10 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
     let before = rig.tool.details().expect("the board replies").overruns;
     let exchanges = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
-    exchanges.armed && exchanges.rejected == 0 && exchanges.overruns == before
+    exchanges.is_armed && exchanges.rejected == 0 && exchanges.overruns == before
 }
 
-/// Returns true if `case` sustains a rate (Hz) while the tip-force limit, a quarter of the hand's force, reduces the
-/// force in every step.
+/// Returns true if `case` sustains a rate (Hz) while a low tip-force limit reduces the force in every step.
 #[must_use]
 pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
@@ -173,7 +172,7 @@ pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
 
 /// Returns the highest rate (Hz) at which `case` passes the test `sustains`.
 #[must_use]
-pub fn highest_for(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
+pub fn highest_sustained_rate(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
     RATES_HZ.into_iter().find(|&rate_hz| {
         let case = *case;
         std::thread::spawn(move || sustains(&case, rate_hz)).join().unwrap_or(false)
@@ -192,8 +191,7 @@ fn attempt(case: &Case, rate_hz: u32, divider: u32, milliseconds: u64) -> Option
     ran.join().ok().filter(Load::is_in_time)
 }
 
-/// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms while it streams the default
-/// telemetry of every step.
+/// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms with default telemetry.
 #[must_use]
 pub fn highest_rate(case: &Case) -> Option<u32> {
     RATES_HZ.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())

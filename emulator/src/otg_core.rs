@@ -179,7 +179,7 @@ impl Core {
     }
 
     /// Receives a SETUP packet, which a device always accepts.
-    pub fn setup(&mut self, packet: [u8; 8]) {
+    pub fn receive_setup(&mut self, packet: [u8; 8]) {
         for direction in [IN_ENDPOINTS, OUT_ENDPOINTS] {
             let at = endpoint(direction, 0, CTL);
             self.lower(at, STALL);
@@ -197,7 +197,7 @@ impl Core {
         let packets = (self.get(endpoint(OUT_ENDPOINTS, number, TSIZ)) >> 19) & 0x3FF;
         // A queued packet needs its words and a status word (RM0090 section 34.13).
         let full = self.receive_fifo.len() + self.received.len() + 18 > (self.get(GRXFSIZ) & 0xFFFF) as usize;
-        // The driver arms an endpoint again by clearing NAK only, endpoint 0 even without a packet count.
+        // The driver arms endpoint 0 again by clearing NAK, without a packet count.
         let armed = if number == 0 { control & NAKSTS == 0 } else { packets > 0 };
         if control & STALL != 0 {
             Handshake::Stall
@@ -209,7 +209,7 @@ impl Core {
     }
 
     /// Receives an OUT packet for endpoint `number`.
-    pub fn out(&mut self, number: usize, data: &[u8]) -> Handshake<()> {
+    pub fn receive_out(&mut self, number: usize, data: &[u8]) -> Handshake<()> {
         let answer = self.accepts(number);
         if answer != Handshake::Ack(()) {
             return answer;
@@ -244,7 +244,7 @@ impl Core {
     }
 
     /// Handles an IN token for endpoint `number`.
-    pub fn take(&mut self, number: usize) -> Handshake<Vec<u8>> {
+    pub fn send_in(&mut self, number: usize) -> Handshake<Vec<u8>> {
         let length = match self.offers(number) {
             Handshake::Ack(length) => length,
             Handshake::Nak => return Handshake::Nak,

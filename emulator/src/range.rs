@@ -33,8 +33,8 @@ use crate::run::MILLISECOND;
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 /// Encoder counts per turn, so many that quantization does not affect the measurement.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
-/// A direct drive instead of the placeholder in the shipped file. One step of the board's current sensors (7 mA) is 0.2
-/// mN m with this motor. With the placeholder it is 4 mN m, which would keep the softly held tip moving.
+/// Motor of a direct drive, instead of the placeholder in the shipped file. One step of the board's current sensors (7
+/// mA) is 0.2 mN m with this motor. With the placeholder it is 4 mN m, which would keep the softly held tip moving.
 const MOTOR: Motor<f64> = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
@@ -92,8 +92,7 @@ pub fn rigid_device() -> TestDevice {
     TestDevice { file, normal }
 }
 
-/// Returns the board with the device, homed at the pose, with checked polarity, and with a hand that holds the device
-/// at the pose.
+/// Returns the board with the device at the pose, homed, with checked polarity, and with a hand that holds the device.
 #[must_use]
 pub fn rig(test_device: &TestDevice) -> Rig {
     let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
@@ -133,7 +132,7 @@ pub fn measure_on<T>(
     };
     let shared = rig.shared.clone();
     let mut prepared = PreparedBoard::new(&mut rig.tool, &test_device.file, setup, &|| false)?;
-    shared.board().with(|stopped| {
+    shared.board().while_stopped(|stopped| {
         stopped.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
     });
     let outcome = job(&mut prepared)?;
@@ -144,7 +143,7 @@ pub fn measure_on<T>(
 /// Returns the boundary that theory predicts for the same loop at the dampings `kd` (N s/m), or the entire boundary
 /// without `kd`. `delay_samples` is the delay that the board reports.
 #[must_use]
-pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
+pub fn predicted_range(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let control_loop = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
@@ -215,13 +214,13 @@ pub const COLUMN_NAMES: [&str; 9] = [
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, Picture) {
     let test_device = rigid_device();
     let Rate { rate_hz, cutoff_hz } = rate;
-    let range = predicted(&test_device, rate, delay, None);
+    let range = predicted_range(&test_device, rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
     for mode in [FeedForward::Off, FeedForward::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let at = predicted(&test_device, rate, delay, Some(&kd));
+        let at = predicted_range(&test_device, rate, delay, Some(&kd));
         let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();

@@ -28,7 +28,7 @@ pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
     let mut images = IMAGES.lock().unwrap_or_else(PoisonError::into_inner);
     images
         .entry(name)
-        .or_insert_with(|| Box::leak(Box::new(Firmware::of(name).unwrap_or_else(|error| panic!("{error}")))))
+        .or_insert_with(|| Box::leak(Box::new(Firmware::build(name).unwrap_or_else(|error| panic!("{error}")))))
 }
 
 /// Returns the folder of the shipped device files.
@@ -37,8 +37,7 @@ pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// Returns the device file `name` as if a person had checked it, with verified motors, and with wide joint limits where
-/// the file has none.
+/// Returns the device file `name` with verified motors, and with wide joint limits where the file has none.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));
@@ -108,7 +107,10 @@ impl Rig {
             board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
             "no USB after two seconds"
         );
-        assert!(!board.with(|stopped| stopped.hardware().peaks.bridge_was_on), "a bridge was on before USB was ready");
+        assert!(
+            !board.while_stopped(|stopped| stopped.hardware().peaks.bridge_was_on),
+            "a bridge was on before USB was ready"
+        );
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -122,13 +124,13 @@ impl Rig {
         let Self { kind, shared, file, .. } = self;
         {
             let mut board = shared.board();
-            board.with(|stopped| stopped.reset());
+            board.while_stopped(|stopped| stopped.reset());
             board.run(MILLISECOND);
             assert!(
                 board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
                 "no USB after a reset"
             );
-            board.with(|stopped| stopped.usb().take());
+            board.while_stopped(|stopped| stopped.usb().take());
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -160,7 +162,7 @@ impl Rig {
     }
 
     /// Homes the device in place, checks its polarity, arms, and waits until torque has ramped up.
-    pub fn ready(&mut self) {
+    pub fn home_and_arm(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
         self.arm();
@@ -194,20 +196,20 @@ impl Rig {
     }
 
     /// Runs `job` while the board stands still.
-    pub fn with<T: Send + 'static>(&self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
-        self.shared.board().with(job)
+    pub fn while_stopped<T: Send + 'static>(&self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
+        self.shared.board().while_stopped(job)
     }
 
     /// Runs `job` with the simulated device.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
-        self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
+        self.while_stopped(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
     /// Describes a board that no longer replies, with the history of its port and its restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
         let (at, port, restarts) =
-            self.with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec()));
+            self.while_stopped(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec()));
         format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}")
     }
 
@@ -222,6 +224,6 @@ impl Rig {
     pub fn steps(&self) -> u32 {
         // The count of steps is the first field of the shared state.
         let address = firmware(self.kind).find_ending("9interrupt7CONTROL").expect("the count of steps").address;
-        self.with(move |stopped| stopped.word(address)).expect("RAM")
+        self.while_stopped(move |stopped| stopped.word(address)).expect("RAM")
     }
 }

@@ -65,7 +65,7 @@ impl StoppedBoard<'_> {
 
     /// Returns the words in a range of the flash.
     pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
-        place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
+        place.step_by(4).map(|at| self.word(at).expect("flash at this address")).collect()
     }
 
     /// Writes `words` to the flash from `start` on, like a programming tool. Takes effect when the run continues.
@@ -83,7 +83,7 @@ impl StoppedBoard<'_> {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let offset = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
         let word = place.start + offset as u64 / 4 * 4;
-        let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (offset % 4));
+        let flipped = self.word(word).expect("flash at this address") ^ 1 << (8 * (offset % 4));
         let at = VirtualNanos(self.at);
         self.hardware().chip.corrupt_flash(at, word, flipped);
     }
@@ -91,7 +91,7 @@ impl StoppedBoard<'_> {
     /// Sets the chip's supply voltage and passes the supply monitor's request to the core (line 1, RM0090 table 61).
     pub fn set_supply(&mut self, millivolts: u32) {
         let at = VirtualNanos(self.at);
-        let asks = self.hardware().chip.supply(at, millivolts);
+        let asks = self.hardware().chip.set_supply_voltage(at, millivolts);
         self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 
@@ -130,8 +130,7 @@ impl StoppedBoard<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// Returns the firmware's accesses for which the virtual chip has no model, one per line. The list is empty if a
-    /// model handled every access.
+    /// Returns the firmware's accesses for which the virtual chip has no model, one per line.
     #[must_use]
     pub fn unmodelled_accesses(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
@@ -150,7 +149,7 @@ impl StoppedBoard<'_> {
 type Job = Box<dyn FnOnce(&mut StoppedBoard<'_>) + Send>;
 
 enum Command {
-    With(Job),
+    RunJob(Job),
     RunUntil(u64),
 }
 
@@ -179,7 +178,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, requests) = channel();
         let (replies_out, replies) = channel();
-        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, rtt };
+        let runner = Runner { requests, replies_out, stop_time: 0, is_waiting: false, tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -209,17 +208,19 @@ impl VirtualBoard {
     }
 
     /// Runs `job` while the board stands still, and returns its result.
-    pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
+    pub fn while_stopped<T: Send + 'static>(
+        &mut self,
+        job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static,
+    ) -> T {
         let (result, outcome) = channel();
-        self.send_command(Command::With(Box::new(move |stopped| {
+        self.send_command(Command::RunJob(Box::new(move |stopped| {
             // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
         outcome.recv().expect("the job was done")
     }
 
-    /// Runs for at most `span` (ns) until `done` returns true, which is checked every `step` (ns). Returns true if
-    /// `done` returned true.
+    /// Runs for at most `span` (ns) and calls `done` every `step` (ns) until it returns true. Returns the last result.
     pub fn run_until(
         &mut self,
         span: u64,
@@ -230,7 +231,7 @@ impl VirtualBoard {
         while self.at < last {
             self.run(step.min(last - self.at));
             let mut check = done.clone();
-            let (is_done, returned) = self.with(move |stopped| (check(stopped), check));
+            let (is_done, returned) = self.while_stopped(move |stopped| (check(stopped), check));
             done = returned;
             if is_done {
                 return true;
@@ -271,8 +272,8 @@ impl Drop for VirtualBoard {
 struct Runner {
     requests: Receiver<Command>,
     replies_out: Sender<Reply>,
-    until: u64,
-    waiting: bool,
+    stop_time: u64,
+    is_waiting: bool,
     tracer: Option<Tracer>,
     rtt: Rtt,
 }
@@ -280,25 +281,25 @@ struct Runner {
 impl Runner {
     /// Serves commands at a requested stop until a command continues the run. Returns `None` if the owner is gone.
     fn serve(&mut self, session: &mut Session<Hardware>, memory: &mut dyn emulator::Host, stop: Stop) -> Option<()> {
-        if std::mem::take(&mut self.waiting) {
+        if std::mem::take(&mut self.is_waiting) {
             let (at, instructions) = (stop.at.0, stop.instruction_count);
             self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
         }
         loop {
             match self.requests.recv().ok()? {
-                Command::With(job) => {
+                Command::RunJob(job) => {
                     let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
                     job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });
                     self.replies_out.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
-                    self.until = until;
-                    self.waiting = true;
+                    self.stop_time = until;
+                    self.is_waiting = true;
                     if until > stop.at.0 {
                         return Some(());
                     }
-                    self.waiting = false;
+                    self.is_waiting = false;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
                     self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
                 }
@@ -321,9 +322,9 @@ impl Driver<Hardware> for Runner {
         memory: &mut dyn emulator::Host,
     ) -> Option<VirtualNanos> {
         let next = session.board_mut().step(stop.at);
-        if stop.at.0 >= self.until {
+        if stop.at.0 >= self.stop_time {
             self.serve(session, memory, stop)?;
         }
-        Some(VirtualNanos(next.map_or(self.until, |next| next.0.min(self.until))))
+        Some(VirtualNanos(next.map_or(self.stop_time, |next| next.0.min(self.stop_time))))
     }
 }

@@ -32,24 +32,24 @@ struct Source {
 /// Finds the source of instructions.
 pub struct Sources<'a> {
     context: Context<Reader<'a>>,
-    known: HashMap<u32, Source>,
+    cache: HashMap<u32, Source>,
 }
 
 impl<'a> Sources<'a> {
     /// Reads the debug information of `firmware`. Returns `None` if there is none or it cannot be read.
     #[must_use]
-    pub fn of(firmware: &'a Firmware) -> Option<Self> {
+    pub fn new(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
         let load = |id: addr2line::gimli::SectionId| -> Result<Reader<'a>, addr2line::gimli::Error> {
             let data = elf.section_by_name(id.name()).and_then(|section| section.data().ok());
             Ok(Reader::new(data.unwrap_or(&[]), LittleEndian))
         };
         let context = Context::from_dwarf(Dwarf::load(load).ok()?).ok()?;
-        Some(Self { context, known: HashMap::new() })
+        Some(Self { context, cache: HashMap::new() })
     }
 
     fn source(&mut self, address: u32) -> &Source {
-        self.known.entry(address).or_insert_with(|| {
+        self.cache.entry(address).or_insert_with(|| {
             let mut source = Source::default();
             if let Ok(mut frames) = self.context.find_frames(u64::from(address)).skip_all_loads() {
                 while let Ok(Some(frame)) = frames.next() {

@@ -1,8 +1,6 @@
-//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, with the share of
-//! each source file.
+//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, also by source file.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md. A test repeats some
-//! measurements and compares.
+//! `cargo xtask timing` measures every [`Case`] for the tables of docs/results/timing.md. Tests repeat some cases.
 
 use std::collections::BTreeMap;
 
@@ -11,11 +9,12 @@ use haptic_host::output::csv_line;
 
 use crate::boards::BoardKind;
 use crate::cases::{CASES, Case, SCENES, SceneKind};
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
-    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane, sustains_scenes,
+    highest_rate, highest_sustained_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane,
+    sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
@@ -23,7 +22,7 @@ use crate::sources::Sources;
 use crate::trace::{Code, Run};
 
 /// Value of the state in a row of telemetry while the board is armed.
-const ARMED: f64 = 1.0;
+const ARMED_STATE: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const TRACED_NS: u64 = 25 * MILLISECOND;
 
@@ -59,17 +58,17 @@ impl Case {
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
         // The last two columns are the state and the number of touched walls.
         let in_contact =
-            |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED, self.scene_kind.contacts() as f64]);
+            |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED_STATE, self.scene_kind.contacts() as f64]);
         let status = rig.tool.status();
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
         let image = firmware(self.board);
-        let code = Code::of(image).expect("an image with code");
-        Timing::of(&runs, &code, &mut Sources::of(image).expect("debug information"))
+        let code = Code::from_firmware(image).expect("an image with code");
+        Timing::from_runs(&runs, &code, &mut Sources::new(image).expect("debug information"))
     }
 }
 
 impl Timing {
-    fn of(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
+    fn from_runs(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
         let (mut works, mut files) = (Vec::new(), BTreeMap::new());
         let (mut longest_valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
         for run in runs {
@@ -120,11 +119,11 @@ impl Rig {
 
     /// Returns all complete runs of the function at `entry` during `work`. The function must not be interrupted.
     fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
-        let code = Code::of(firmware(self.kind)).expect("an image with code");
+        let code = Code::from_firmware(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
-        self.with(move |stopped| stopped.trace(&watched, entry));
+        self.while_stopped(move |stopped| stopped.trace(&watched, entry));
         work(self);
-        self.with(move |stopped| stopped.take_trace(&code))
+        self.while_stopped(move |stopped| stopped.take_trace(&code))
     }
 }
 
@@ -141,7 +140,7 @@ const STEPS: [(&str, SceneKind); 6] = [
 /// Returns timing-steps.csv, the instructions of the control step by device and scene. The image is a release image,
 /// the motors are off and the encoder counts constant.
 #[must_use]
-pub fn steps() -> String {
+pub fn step_table() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
     let mut rig = Rig::empty(BoardKind::HBridgeF405);
     let render = firmware(rig.kind).find_ending("8compiled6render").expect("the control step").address;
@@ -153,7 +152,7 @@ pub fn steps() -> String {
         let tip = rig.tool.status().expect("the board replies").tip.map(f64::from);
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
-        let wall = WallAt { gap: -0.003, ..WallAt::facing(toward) };
+        let wall = NearWall { gap: -0.003, ..NearWall::with_normal(toward) };
         let walls = if scene_kind == SceneKind::Wall { &[wall][..] } else { &[] };
         rig.set_scene(&scene("", tip, task, walls));
         rig.run(MILLISECOND);
@@ -201,7 +200,7 @@ pub fn table(timings: &[Timing]) -> String {
 
 /// Returns timing-scenes.csv, the table of the timings of [`SCENES`] on a five-bar.
 #[must_use]
-pub fn scenes(timings: &[Timing]) -> String {
+pub fn scene_table(timings: &[Timing]) -> String {
     let mut text = csv_line([
         "the tip meets",
         "mean",
@@ -232,7 +231,7 @@ impl Case {
 
 /// Returns timing-new-scenes.csv. Each measurement takes 5 ms from the request for a new scene while the motors are on.
 #[must_use]
-pub fn replacements() -> String {
+pub fn new_scene_table() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
     for case in [&CASES[0], &CASES[2], &CASES[4]] {
         let mut rig = case.rig(case.rate_hz);
@@ -240,7 +239,7 @@ pub fn replacements() -> String {
             set_free_scene(rig, case.rate_hz, 0);
             rig.run(5 * MILLISECOND);
         });
-        let mut sources = Sources::of(firmware(case.board)).expect("debug information");
+        let mut sources = Sources::new(firmware(case.board)).expect("debug information");
         let (mut steps, mut valleys) = (Vec::new(), Vec::new());
         for run in &runs {
             let kind = if sources.is_crest(run) { &mut steps } else { &mut valleys };
@@ -257,7 +256,7 @@ pub fn replacements() -> String {
 
 /// Returns timing-rates.csv, the rates that a five-bar and two three-joint devices sustain.
 #[must_use]
-pub fn rates() -> String {
+pub fn rate_table() -> String {
     let mut text = csv_line([
         "case",
         "highest control rate (Hz)",
@@ -271,8 +270,9 @@ pub fn rates() -> String {
     for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
-        let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
-        let cuts = cell(highest_for(case, sustains_force_limit));
+        let (scenes, plane) =
+            (cell(highest_sustained_rate(case, sustains_scenes)), cell(highest_sustained_rate(case, sustains_plane)));
+        let cuts = cell(highest_sustained_rate(case, sustains_force_limit));
         text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
     }
     text

@@ -1,9 +1,8 @@
 //! Records every instruction of an interrupt handler, run by run, from the first instruction to the exception return.
 //!
-//! All code is watched, and the handler's part is kept. A run ends where a return at call depth zero goes to an
-//! unexpected address. This also covers a handler whose last instructions the compiler moved into a shared function.
-//! Instructions of an interrupt that preempts the handler would be counted too, but nothing preempts the control
-//! interrupt.
+//! The tracer watches all code and keeps the instructions of the handler. A run ends where a return at call depth zero
+//! goes to an unexpected address. This also covers a handler whose last instructions the compiler moved into a shared
+//! function. Instructions of a preempting interrupt would be counted too, but nothing preempts the control interrupt.
 
 use std::sync::Arc;
 
@@ -39,7 +38,7 @@ enum Kind {
 impl Code {
     /// Returns the code of `firmware`, or `None` for an image without code.
     #[must_use]
-    pub fn of(firmware: &Firmware) -> Option<Self> {
+    pub fn from_firmware(firmware: &Firmware) -> Option<Self> {
         let (from, to) = firmware.text();
         let symbol = crate::image::Symbol { address: from, size: to - from };
         Some(Self { base: from as u32, bytes: firmware.code(symbol)?.into() })
@@ -47,7 +46,7 @@ impl Code {
 
     /// Returns code that consists of `halves`, starting at `base`.
     #[cfg(test)]
-    pub(crate) fn at(base: u32, halves: &[u16]) -> Self {
+    pub(crate) fn new(base: u32, halves: &[u16]) -> Self {
         Self { base, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
     }
 
@@ -58,14 +57,14 @@ impl Code {
     }
 
     /// Returns the half-word at `at`, or 0 outside the code.
-    pub(crate) fn half(&self, at: u32) -> u16 {
+    pub(crate) fn half_word(&self, at: u32) -> u16 {
         let offset = at.wrapping_sub(self.base) as usize;
         self.bytes.get(offset..offset + 2).map_or(0, |pair| u16::from_le_bytes([pair[0], pair[1]]))
     }
 
     /// Returns the kind and the length (bytes) of the instruction at `at` (ARMv7-M Architecture Reference Manual, A5).
     fn decode(&self, at: u32) -> (Kind, u32) {
-        let first = self.half(at);
+        let first = self.half_word(at);
         if first >> 11 < 0b11101 {
             let kind = match first {
                 0x4770 => Kind::Return,
@@ -75,7 +74,7 @@ impl Code {
             };
             return (kind, 2);
         }
-        let second = self.half(at + 2);
+        let second = self.half_word(at + 2);
         let kind = match first {
             _ if first & 0xF800 == 0xF000 && second & 0xD000 == 0xD000 => Kind::Call,
             0xE8BD if second & 0x8000 != 0 => Kind::Return,
@@ -100,9 +99,8 @@ impl Walker {
         Self { code, last: entry, returns: Vec::new() }
     }
 
-    /// Advances to the instruction at `next`. Returns true if this step returns from the first function, which ends the
-    /// handler.
-    fn leaves(&mut self, next: u32) -> bool {
+    /// Advances to the instruction at `next`. Returns true if this step ends the handler by returning from it.
+    fn ends_handler(&mut self, next: u32) -> bool {
         let (kind, length) = self.code.decode(self.last);
         let following = self.last + length;
         self.last = next;
@@ -141,7 +139,7 @@ impl Tracer {
         }
         let at = hit.address as u32;
         if let Some((run, walker)) = &mut self.current_run {
-            if !walker.leaves(at) {
+            if !walker.ends_handler(at) {
                 run.path.push(at);
                 return;
             }
@@ -165,7 +163,7 @@ mod tests {
     use super::*;
 
     fn code(halves: &[u16]) -> Code {
-        Code::at(0x1000, halves)
+        Code::new(0x1000, halves)
     }
 
     #[test]
@@ -173,13 +171,13 @@ mod tests {
         // 1000: bl 1008; 1004: b.w 100A (a shared ending); 1008: bx lr; 100A: pop {pc}
         let code = code(&[0xF000, 0xF802, 0xF000, 0xB801, 0x4770, 0xBD00]);
         let mut walker = Walker::new(code, 0x1000);
-        assert_eq!([0x1008, 0x1004, 0x100A, 0x2000].map(|at| walker.leaves(at)), [false, false, false, true]);
+        assert_eq!([0x1008, 0x1004, 0x100A, 0x2000].map(|at| walker.ends_handler(at)), [false, false, false, true]);
     }
 
     #[test]
     fn a_return_skipped_by_its_condition_is_not_a_return() {
         // 1000: bx lr, skipped in an IT block; 1002: nop
         let code = code(&[0x4770, 0xBF00]);
-        assert!(!Walker::new(code, 0x1000).leaves(0x1002));
+        assert!(!Walker::new(code, 0x1000).ends_handler(0x1002));
     }
 }

@@ -1,5 +1,5 @@
 //! The computer at the other end of the USB cable. It enumerates a device like a PC, opens its serial port, and
-//! transfers bytes in both directions. Tests can use it like a user: unplug, suspend, close, stop reading, and write
+//! transfers bytes in both directions. Tests can unplug the cable, suspend, close or not read the port, and write
 //! garbage.
 //!
 //! Sources: USB 2.0 chapters 5, 8 and 9, and CDC PSTN 1.2 section 6.3 (line coding, control line state).
@@ -26,8 +26,7 @@ const DEVICE_ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET_BYTES: usize = 64;
 
-/// Returns the duration on the bus of a packet of `bytes` bytes at 12 Mbit/s, ns. Token, data and handshake packets and
-/// the gaps add about 13 bytes.
+/// Returns the duration of a packet of `bytes` bytes on the bus at 12 Mbit/s, with about 13 bytes of overhead, ns.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }
@@ -38,7 +37,7 @@ pub enum Event {
     /// The device enabled its pull-up.
     Connected,
     /// The device was unplugged, or its pull-up went off.
-    Left,
+    Disconnected,
     /// The bus was reset.
     Reset,
     /// The device accepted its address.
@@ -113,7 +112,7 @@ enum Step {
     SetConfiguration,
     LineCoding,
     LineState(bool),
-    Requested,
+    UserRequest,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -161,21 +160,21 @@ fn setup(kind: u8, request: u8, value: u16, index: u16, length: u16) -> [u8; 8] 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transaction {
     Control(Stage),
-    Out,
-    In,
+    BulkOut,
+    BulkIn,
 }
 
 /// The host computer.
 #[derive(Debug)]
 pub struct Host {
-    plugged: bool,
+    is_plugged: bool,
     open_requested: bool,
     reads_port: bool,
     suspend_requested: bool,
     bus: Bus,
     resets: u32,
     steps: VecDeque<Step>,
-    requested: VecDeque<Control>,
+    user_requests: VecDeque<Control>,
     control: Option<Control>,
     port: Option<Port>,
     port_is_open: bool,
@@ -193,14 +192,14 @@ pub struct Host {
 impl Default for Host {
     fn default() -> Self {
         Self {
-            plugged: true,
+            is_plugged: true,
             open_requested: true,
             reads_port: true,
             suspend_requested: false,
             bus: Bus::Detached,
             resets: 0,
             steps: VecDeque::new(),
-            requested: VecDeque::new(),
+            user_requests: VecDeque::new(),
             control: None,
             port: None,
             port_is_open: false,
@@ -219,7 +218,7 @@ impl Default for Host {
 impl Host {
     /// Plugs or unplugs the cable.
     pub fn plug(&mut self, plugged: bool) {
-        self.plugged = plugged;
+        self.is_plugged = plugged;
     }
 
     /// Opens or closes the serial port, like a program on a PC.
@@ -254,8 +253,8 @@ impl Host {
 
     /// Queues any control request, valid or not, as a setup packet and the `data` of a write.
     pub fn request(&mut self, setup: [u8; 8], data: &[u8]) {
-        let (step, data) = (Step::Requested, data.to_vec());
-        self.requested.push_back(Control { step, setup, data, stage: Stage::Setup });
+        let (step, data) = (Step::UserRequest, data.to_vec());
+        self.user_requests.push_back(Control { step, setup, data, stage: Stage::Setup });
     }
 
     /// Returns the replies to queued control requests, in order: the data of a read, or the setup packet if stalled.
@@ -297,7 +296,7 @@ impl Host {
         self.port = None;
         self.port_is_open = false;
         self.to_device.clear();
-        self.log.push((at, Event::Left));
+        self.log.push((at, Event::Disconnected));
     }
 
     /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or `None` if
@@ -346,7 +345,7 @@ impl Host {
     }
 
     fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
-        let is_present = self.plugged && core.is_connected();
+        let is_present = self.is_plugged && core.is_connected();
         match self.bus {
             Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));
@@ -394,7 +393,7 @@ impl Host {
                 self.control_of(Step::LineState(self.open_requested))
             });
         }
-        self.requested.pop_front()
+        self.user_requests.pop_front()
     }
 
     fn control_of(&self, step: Step) -> Control {
@@ -414,7 +413,7 @@ impl Host {
                 let index = self.port.map_or(0, |port| u16::from(port.communication));
                 Control::write(step, 0x21, 0x22, if on { 3 } else { 0 }, index, &[])
             }
-            Step::LineCoding | Step::Requested => unreachable!("created by next_control and request"),
+            Step::LineCoding | Step::UserRequest => unreachable!("created by next_control and request"),
         }
     }
 
@@ -442,22 +441,22 @@ impl Host {
 
     /// Returns the next transaction that the device would not reject, and its number of bytes.
     fn next_transaction(&mut self, core: &Core) -> Option<(Transaction, usize)> {
-        let willing = |answer: Handshake<usize>| match answer {
+        let ready_bytes = |answer: Handshake<usize>| match answer {
             Handshake::Ack(bytes) => Some(bytes),
             Handshake::Stall => Some(0),
             Handshake::Nak => None,
         };
-        let accepted = |answer: Handshake<()>, bytes: usize| match answer {
-            Handshake::Ack(()) => willing(Handshake::Ack(bytes)),
+        let accepted_bytes = |answer: Handshake<()>, bytes: usize| match answer {
+            Handshake::Ack(()) => ready_bytes(Handshake::Ack(bytes)),
             Handshake::Stall => Some(0),
             Handshake::Nak => None,
         };
         if let Some(control) = &self.control {
             let bytes = match control.stage {
                 Stage::Setup => Some(8),
-                Stage::DataIn | Stage::StatusIn => willing(core.offers(0)),
-                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET_BYTES)),
-                Stage::StatusOut => accepted(core.accepts(0), 0),
+                Stage::DataIn | Stage::StatusIn => ready_bytes(core.offers(0)),
+                Stage::DataOut => accepted_bytes(core.accepts(0), control.data.len().min(PACKET_BYTES)),
+                Stage::StatusOut => accepted_bytes(core.accepts(0), 0),
             };
             if let Some(bytes) = bytes {
                 return Some((Transaction::Control(control.stage), bytes));
@@ -465,12 +464,12 @@ impl Host {
         }
         let port = self.port.filter(|_| self.port_is_open)?;
         let waiting = self.to_device.len().min(PACKET_BYTES);
-        let out = (waiting > 0).then(|| accepted(core.accepts(port.data_out), waiting)).flatten();
-        let input = self.reads_port.then(|| willing(core.offers(port.data_in))).flatten();
+        let out = (waiting > 0).then(|| accepted_bytes(core.accepts(port.data_out), waiting)).flatten();
+        let input = self.reads_port.then(|| ready_bytes(core.offers(port.data_in))).flatten();
         match (out, input) {
-            (Some(bytes), None) => Some((Transaction::Out, bytes)),
-            (Some(bytes), Some(_)) if !self.last_was_out => Some((Transaction::Out, bytes)),
-            (_, Some(bytes)) => Some((Transaction::In, bytes)),
+            (Some(bytes), None) => Some((Transaction::BulkOut, bytes)),
+            (Some(bytes), Some(_)) if !self.last_was_out => Some((Transaction::BulkOut, bytes)),
+            (_, Some(bytes)) => Some((Transaction::BulkIn, bytes)),
             (None, None) => None,
         }
     }
@@ -478,15 +477,15 @@ impl Host {
     fn complete(&mut self, transaction: Transaction, core: &mut Core, now: VirtualNanos) {
         match (transaction, self.port) {
             (Transaction::Control(_), _) => self.complete_control(core, now),
-            (Transaction::Out, Some(port)) => {
+            (Transaction::BulkOut, Some(port)) => {
                 let packet: Vec<u8> = self.to_device.iter().take(PACKET_BYTES).copied().collect();
-                if core.out(port.data_out, &packet) == Handshake::Ack(()) {
+                if core.receive_out(port.data_out, &packet) == Handshake::Ack(()) {
                     self.to_device.drain(..packet.len());
                 }
                 self.last_was_out = true;
             }
-            (Transaction::In, Some(port)) => {
-                if let Handshake::Ack(data) = core.take(port.data_in) {
+            (Transaction::BulkIn, Some(port)) => {
+                if let Handshake::Ack(data) = core.send_in(port.data_in) {
                     self.from_device.extend(data);
                 }
                 self.last_was_out = false;
@@ -499,14 +498,14 @@ impl Host {
         let Some(mut control) = self.control.take() else { return };
         let next = match control.stage {
             Stage::Setup => {
-                core.setup(control.setup);
+                core.receive_setup(control.setup);
                 Some(match (control.is_read(), control.length()) {
                     (true, 1..) => Stage::DataIn,
                     (false, 1..) => Stage::DataOut,
                     (_, 0) => Stage::StatusIn,
                 })
             }
-            Stage::DataIn => match core.take(0) {
+            Stage::DataIn => match core.send_in(0) {
                 Handshake::Ack(packet) => {
                     control.data.extend(&packet);
                     let over = packet.len() < PACKET_BYTES || control.data.len() >= control.length();
@@ -517,7 +516,7 @@ impl Host {
             },
             Stage::DataOut => {
                 let length = control.data.len().min(PACKET_BYTES);
-                match core.out(0, &control.data[..length]) {
+                match core.receive_out(0, &control.data[..length]) {
                     Handshake::Ack(()) => {
                         control.data.drain(..length);
                         let over = control.data.is_empty();
@@ -527,12 +526,12 @@ impl Host {
                     Handshake::Stall => None,
                 }
             }
-            Stage::StatusIn => match core.take(0) {
+            Stage::StatusIn => match core.send_in(0) {
                 Handshake::Ack(_) => return self.finish(control, now),
                 Handshake::Nak => Some(Stage::StatusIn),
                 Handshake::Stall => None,
             },
-            Stage::StatusOut => match core.out(0, &[]) {
+            Stage::StatusOut => match core.receive_out(0, &[]) {
                 Handshake::Ack(()) => return self.finish(control, now),
                 Handshake::Nak => Some(Stage::StatusOut),
                 Handshake::Stall => None,
@@ -542,7 +541,7 @@ impl Host {
             Some(stage) => self.control = Some(Control { stage, ..control }),
             None => {
                 self.log.push((now, Event::Stalled(control.setup)));
-                if control.step == Step::Requested {
+                if control.step == Step::UserRequest {
                     self.replies.push(Err(control.setup));
                 }
             }
@@ -579,7 +578,7 @@ impl Host {
                 self.port_is_open = on;
                 self.log.push((now, if on { Event::Opened } else { Event::Closed }));
             }
-            Step::Requested => self.replies.push(Ok(control.data)),
+            Step::UserRequest => self.replies.push(Ok(control.data)),
         }
     }
 }

@@ -34,24 +34,23 @@ impl Shared {
         self.wire_polled_every(POLL_INTERVAL_NS)
     }
 
-    /// Returns a wire to the board's USB port, for a computer that polls every `interval` (ns) and reacts up to one
-    /// interval late.
+    /// Returns a wire to the board's USB port, for a computer that polls the port every `interval` (ns).
     #[must_use]
     pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
-        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), interval })
+        Box::new(UsbWire { shared: self.clone(), unread: Vec::new(), interval })
     }
 }
 
 struct UsbWire {
     shared: Shared,
-    waiting: Vec<u8>,
+    unread: Vec<u8>,
     interval: u64,
 }
 
 impl Wire for UsbWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         let bytes = bytes.to_vec();
-        let sent = self.shared.board().with(move |stopped| {
+        let sent = self.shared.board().while_stopped(move |stopped| {
             let usb = stopped.usb();
             let ready = usb.is_ready();
             if ready {
@@ -59,7 +58,7 @@ impl Wire for UsbWire {
             }
             ready
         });
-        if sent { Ok(()) } else { Err(io::Error::new(io::ErrorKind::NotConnected, "the port is not there")) }
+        if sent { Ok(()) } else { Err(io::Error::new(io::ErrorKind::NotConnected, "the board's USB port is not open")) }
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
@@ -67,13 +66,13 @@ impl Wire for UsbWire {
         let span = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX / 4);
         let until = board.now() + span;
         loop {
-            if self.waiting.is_empty() {
-                self.waiting = board.with(|stopped| stopped.usb().take());
+            if self.unread.is_empty() {
+                self.unread = board.while_stopped(|stopped| stopped.usb().take());
             }
-            if !self.waiting.is_empty() {
-                let count = self.waiting.len().min(buffer.len());
-                buffer[..count].copy_from_slice(&self.waiting[..count]);
-                self.waiting.drain(..count);
+            if !self.unread.is_empty() {
+                let count = self.unread.len().min(buffer.len());
+                buffer[..count].copy_from_slice(&self.unread[..count]);
+                self.unread.drain(..count);
                 return Ok(count);
             }
             if board.now() >= until {

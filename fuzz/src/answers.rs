@@ -11,8 +11,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// Calls the functions of the link with a board that sends `data`, which consists of pieces: an operation, a length and
-/// bytes.
+/// Calls the functions of the link with a board that sends `data`, in pieces of an operation, a length and bytes.
 pub fn answers(data: &[u8]) {
     let wire =
         RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
@@ -50,7 +49,7 @@ struct RandomBoard {
 
 impl RandomBoard {
     /// Returns the next piece as bytes on the wire.
-    fn piece(&mut self) -> Option<Vec<u8>> {
+    fn next_piece(&mut self) -> Option<Vec<u8>> {
         let operation = self.rest.pop_front()?;
         let length = usize::from(self.rest.pop_front().unwrap_or(0)) * if operation & 0x80 == 0 { 1 } else { 4 };
         let body: Vec<u8> = self.rest.drain(..length.min(self.rest.len())).collect();
@@ -102,7 +101,7 @@ impl Wire for RandomBoard {
                 };
                 encode(&header, &postcard::to_stdvec(&info).unwrap_or_default())
             }
-            None => self.piece().ok_or(io::ErrorKind::UnexpectedEof)?,
+            None => self.next_piece().ok_or(io::ErrorKind::UnexpectedEof)?,
         };
         let count = bytes.len().min(buffer.len());
         buffer[..count].copy_from_slice(&bytes[..count]);

@@ -38,8 +38,8 @@ const TARGETS: [(&str, Target); 8] = [
 ];
 
 fuzz_target!(|data: &[u8]| {
-    static RUN: OnceLock<Target> = OnceLock::new();
-    let run = RUN.get_or_init(|| {
+    static TARGET: OnceLock<Target> = OnceLock::new();
+    let run = TARGET.get_or_init(|| {
         let name = std::env::var("HAPTIC_FUZZ").expect("HAPTIC_FUZZ names a target");
         TARGETS.iter().find(|(known, _)| *known == name).expect("HAPTIC_FUZZ is the name of a target").1
     });

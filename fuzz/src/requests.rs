@@ -2,7 +2,7 @@
 //! and motors. tests/rig/board.rs asserts the invariants.
 
 use super::board::{Board, frame};
-use super::shipped::shipped;
+use super::shipped::shipped_devices;
 use haptic_bridge::board::framing::Decoder;
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
@@ -18,8 +18,7 @@ use serde::Serialize;
 /// Number of control steps after which an input ends, so that long inputs stay fast.
 const MAX_TICKS: u32 = 2_000;
 
-/// Passes bytes to a board, whose device the first byte selects, and to the tool's decoder, which must find the same
-/// frames.
+/// Passes bytes to a board and to the tool's decoder, which must find the same frames. The first byte selects a device.
 pub fn bytes(data: &[u8]) {
     let [which, data @ ..] = data else { return };
     let mut board = board_with_device(*which);
@@ -73,9 +72,9 @@ pub fn requests(data: &[u8]) -> u32 {
 }
 
 fn board_with_device(which: u8) -> Board {
-    let all = shipped();
+    let all = shipped_devices();
     let shipped = &all[usize::from(which & 0x7F) % all.len()];
-    Board::ready(which & 0x80 != 0, &shipped.device, &shipped.scenes[0])
+    Board::with_device(which & 0x80 != 0, &shipped.device, &shipped.scenes[0])
 }
 
 /// Reads and runs one operation. Returns the number of its control steps.
@@ -206,17 +205,17 @@ fn bytes_of(message: &impl Serialize) -> Vec<u8> {
     postcard::to_stdvec(message).unwrap_or_default()
 }
 
-fn nothing(_: u8) -> Vec<u8> {
+fn empty_body(_: u8) -> Vec<u8> {
     Vec::new()
 }
 
 fn scene(which: u8) -> haptic_bridge::render::scene::Scene<f32> {
-    let shipped = &shipped()[usize::from(which) % shipped().len()];
+    let shipped = &shipped_devices()[usize::from(which) % shipped_devices().len()];
     shipped.scenes[usize::from(which / 8) % shipped.scenes.len()].clone()
 }
 
 fn device(which: u8) -> DeviceData {
-    shipped()[usize::from(which) % shipped().len()].device.clone()
+    shipped_devices()[usize::from(which) % shipped_devices().len()].device.clone()
 }
 
 fn press(which: u8) -> Press {
@@ -229,21 +228,21 @@ fn table(count: usize) -> Vec<f32> {
 
 /// A valid message for every endpoint, in several variants.
 pub const TEMPLATES: &[Template] = &[
-    (Arm::REQ_KEY, nothing),
-    (Disarm::REQ_KEY, nothing),
-    (Home::REQ_KEY, nothing),
-    (CheckPolarity::REQ_KEY, nothing),
-    (Clear::REQ_KEY, nothing),
-    (Save::REQ_KEY, nothing),
-    (Restart::REQ_KEY, nothing),
-    (EnterDfu::REQ_KEY, nothing),
-    (GetInfo::REQ_KEY, nothing),
-    (GetDetails::REQ_KEY, nothing),
-    (GetStatus::REQ_KEY, nothing),
-    (GetDevice::REQ_KEY, nothing),
-    (GetScene::REQ_KEY, nothing),
-    (GetRules::REQ_KEY, nothing),
-    (GetFaults::REQ_KEY, nothing),
+    (Arm::REQ_KEY, empty_body),
+    (Disarm::REQ_KEY, empty_body),
+    (Home::REQ_KEY, empty_body),
+    (CheckPolarity::REQ_KEY, empty_body),
+    (Clear::REQ_KEY, empty_body),
+    (Save::REQ_KEY, empty_body),
+    (Restart::REQ_KEY, empty_body),
+    (EnterDfu::REQ_KEY, empty_body),
+    (GetInfo::REQ_KEY, empty_body),
+    (GetDetails::REQ_KEY, empty_body),
+    (GetStatus::REQ_KEY, empty_body),
+    (GetDevice::REQ_KEY, empty_body),
+    (GetScene::REQ_KEY, empty_body),
+    (GetRules::REQ_KEY, empty_body),
+    (GetFaults::REQ_KEY, empty_body),
     (SetDevice::REQ_KEY, |which| bytes_of(&device(which))),
     (SetScene::REQ_KEY, |which| {
         let mut scene = scene(which & 0x3F);

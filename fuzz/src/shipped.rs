@@ -7,14 +7,14 @@ use haptic_host::scene_file::SceneFile;
 use std::sync::OnceLock;
 
 /// A device with scenes for it.
-pub struct Shipped {
+pub struct ShippedDevice {
     pub device: Device<f32>,
     pub scenes: Vec<Scene<f32>>,
 }
 
 macro_rules! shipped {
     ($($device:literal: $($scene:literal)*;)*) => {
-        [$(Shipped::read(
+        [$(ShippedDevice::read(
             include_str!(concat!("../../devices/", $device, ".toml")),
             &[$(include_str!(concat!("../../devices/scenes/", $device, "/", $scene, ".toml"))),*],
         )),*]
@@ -22,8 +22,8 @@ macro_rules! shipped {
 }
 
 /// Returns devices with one, two and three joints, serial and parallel.
-pub fn shipped() -> &'static [Shipped; 5] {
-    static SHIPPED: OnceLock<[Shipped; 5]> = OnceLock::new();
+pub fn shipped_devices() -> &'static [ShippedDevice; 5] {
+    static SHIPPED: OnceLock<[ShippedDevice; 5]> = OnceLock::new();
     SHIPPED.get_or_init(|| {
         shipped! {
             "hapkit-paddle": "wall" "detent";
@@ -35,7 +35,7 @@ pub fn shipped() -> &'static [Shipped; 5] {
     })
 }
 
-impl Shipped {
+impl ShippedDevice {
     fn read(device: &str, scenes: &[&str]) -> Self {
         let file = DeviceFile::parse(device, "device.toml").expect("a valid device");
         let scene = |text: &&str| {

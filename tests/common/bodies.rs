@@ -85,8 +85,7 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
     (bodies, task)
 }
 
-/// Computes the derivative of `f` at 0 by central differences with Richardson extrapolation. The error is of order
-/// step⁴.
+/// Computes the derivative of `f` at 0 by central differences with Richardson extrapolation (error of order step⁴).
 pub fn derivative<V>(step: f64, f: impl Fn(f64) -> V) -> V
 where
     V: std::ops::Sub<Output = V> + std::ops::Mul<f64, Output = V>,

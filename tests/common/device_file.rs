@@ -6,7 +6,7 @@ use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, 
 use haptic_bridge::model::motor::Motor;
 use toml::{Table, Value};
 
-pub fn shipped(name: &str) -> Description {
+pub fn shipped_device(name: &str) -> Description {
     let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     parse(&std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}")))
 }

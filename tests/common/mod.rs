@@ -13,7 +13,7 @@ use std::hash::{BuildHasher, RandomState};
 
 /// Configures a property test with `cases` cases, which are the same in every run. With `HAPTIC_FRESH_SEEDS` the cases
 /// differ in every run. `PROPTEST_RNG_SEED` repeats the cases of a printed seed.
-pub fn cases(cases: u32) -> Config {
+pub fn property_config(cases: u32) -> Config {
     let default = Config::default();
     let rng_seed = match default.rng_seed {
         RngSeed::Random if std::env::var_os("HAPTIC_FRESH_SEEDS").is_none() => RngSeed::Fixed(34),
@@ -25,66 +25,64 @@ pub fn cases(cases: u32) -> Config {
 }
 
 /// A stream of numbers in [0, 1). A test case is a list of numbers, so that proptest can shrink it.
-pub struct Draw<'a>(pub std::slice::Iter<'a, f64>);
+pub struct TestNumbers<'a>(pub std::slice::Iter<'a, f64>);
 
-impl<'a> Draw<'a> {
-    /// Starts at the first number of a test case.
+impl<'a> TestNumbers<'a> {
     pub fn new(numbers: &'a [f64]) -> Self {
         Self(numbers.iter())
     }
 
     /// Maps the next number to `low..high`, linearly.
-    pub fn within(&mut self, low: f64, high: f64) -> f64 {
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.next().copied().expect("a test case has enough numbers")
     }
 
     /// Maps the next number to `low..high`, logarithmically.
-    pub fn within_log(&mut self, low: f64, high: f64) -> f64 {
-        self.within(low.ln(), high.ln()).exp()
+    pub fn log_uniform(&mut self, low: f64, high: f64) -> f64 {
+        self.uniform(low.ln(), high.ln()).exp()
     }
 
     /// Draws every entry from `low..high`.
     pub fn list<const N: usize>(&mut self, low: f64, high: f64) -> [f64; N] {
-        core::array::from_fn(|_| self.within(low, high))
+        core::array::from_fn(|_| self.uniform(low, high))
     }
 }
 
 /// Number of random numbers that suffice for one device and one pose.
 pub const NUMBERS_PER_CASE: usize = 80;
 
-/// Draws a link that can be built. The centre of mass lies between a counterweight and the far end, and the inertias
-/// belong to a real body.
-fn random_link(draw: &mut Draw<'_>, length: f64) -> Link {
-    let mass = draw.within_log(0.002, 0.5);
+/// Draws a link with possible inertias and a centre of mass between a counterweight and the far end.
+fn random_link(draw: &mut TestNumbers<'_>, length: f64) -> Link {
+    let mass = draw.log_uniform(0.002, 0.5);
     let squared = |extent: f64| mass * extent * extent / 12.0;
-    let thick = draw.within(0.02, 0.5) * length;
+    let thick = draw.uniform(0.02, 0.5) * length;
     Link {
         mass,
-        com: draw.within(-0.4, 1.0) * length,
+        com: draw.uniform(-0.4, 1.0) * length,
         inertia: squared(length) + squared(thick),
         inertia_axial: 2.0 * squared(thick),
-        inertia_transverse: draw.within(0.8, 1.2) * (squared(length) + squared(thick)),
+        inertia_transverse: draw.uniform(0.8, 1.2) * (squared(length) + squared(thick)),
     }
 }
 
 /// Draws a hand-sized device of this kind for which every term of the equations of motion matters.
-pub fn random_device(kind: Kind, draw: &mut Draw<'_>) -> Description {
+pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     let mut links = [Link::default(); MAX_LINKS];
     let mut place = |index: usize, link: Link| links[index] = link;
-    let length = |draw: &mut Draw<'_>| draw.within(0.05, 0.25);
+    let length = |draw: &mut TestNumbers<'_>| draw.uniform(0.05, 0.25);
     match kind {
         Kind::Paddle => geometry[0] = length(draw),
         Kind::FiveBar | Kind::FiveBarTurret => {
-            geometry[0] = draw.within(0.0, 0.08);
+            geometry[0] = draw.uniform(0.0, 0.08);
             for i in 0..4 {
                 geometry[i + 1] = length(draw) * if i < 2 { 1.0 } else { 1.4 };
                 place(i, random_link(draw, geometry[i + 1]));
             }
-            geometry[5] = if draw.within(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
+            geometry[5] = if draw.uniform(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
         }
         Kind::Parallelogram => {
-            geometry[..3].copy_from_slice(&[length(draw), length(draw), draw.within(0.02, 0.06)]);
+            geometry[..3].copy_from_slice(&[length(draw), length(draw), draw.uniform(0.02, 0.06)]);
             for (i, reach) in [geometry[0], geometry[1], geometry[2], geometry[0]].into_iter().enumerate() {
                 place(i, random_link(draw, reach));
             }
@@ -99,9 +97,9 @@ pub fn random_device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let gravity = if kind == Kind::Paddle { [0.0; 3] } else { draw.list(-10.0, 10.0) };
     let mut joints = [Joint::default(); MAX_JOINTS];
     for joint in &mut joints {
-        joint.inertia = draw.within_log(1.0e-5, 1.0e-3);
+        joint.inertia = draw.log_uniform(1.0e-5, 1.0e-3);
     }
-    Description { kind, gravity, geometry, links, joints, handle_mass: draw.within_log(1.0e-3, 0.3), home: None }
+    Description { kind, gravity, geometry, links, joints, handle_mass: draw.log_uniform(1.0e-3, 0.3), home: None }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

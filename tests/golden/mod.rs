@@ -41,7 +41,7 @@ pub fn assert_agree(case: &Value, found: &[Quantity], tolerance: f64) {
     for (name, found) in found {
         let expected = list(&case["expect"][*name]);
         assert_eq!(found.len(), expected.len(), "{name}");
-        // The coupling is a difference of two inertias, so its rounding error is relative to them.
+        // The coupling is a difference of two inertias, so its rounding error is relative to these inertias.
         let scale = if *name == "coupling" { list(&case["expect"]["w_rr"]) } else { expected.clone() };
         let largest = scale.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
         let error = found.iter().zip(&expected).fold(0.0_f64, |error, (a, b)| error.max((a - b).abs()));

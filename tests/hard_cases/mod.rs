@@ -4,7 +4,7 @@
 mod bounds;
 pub mod rows;
 
-use crate::common::device_file::shipped;
+use crate::common::device_file::shipped_device;
 
 type Exact = f64;
 type ExactMath = haptic_bridge::math::Libm;

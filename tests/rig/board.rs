@@ -179,7 +179,7 @@ impl Board {
     }
 
     /// Creates a board with a device and a scene, not armed.
-    pub fn ready(real: bool, device: &Device<f32>, scene: &Scene<f32>) -> Self {
+    pub fn with_device(real: bool, device: &Device<f32>, scene: &Scene<f32>) -> Self {
         let mut board = Self::new(real);
         board.service.set_device(&mut board.machine, device.clone()).expect("a device that fits");
         board.service.set_scene(&mut board.machine, scene.clone()).expect("a scene that fits");
@@ -221,8 +221,7 @@ impl Board {
         }
     }
 
-    /// Returns true if all torques since arming come from rendered forces, without weight, feed-forward or
-    /// compensation.
+    /// Returns true if all torques since arming come from rendered forces, without weight or feed-forward.
     fn renders_forces_only(&mut self) -> bool {
         let (device, scene) = (self.service.device(), self.service.scene());
         let forces_only = device.is_some_and(|device| !device.weight)
@@ -269,8 +268,7 @@ impl Board {
         }
     }
 
-    /// Replies to a frame that was decoded from COBS, and carries out the action that the request leaves to the
-    /// firmware.
+    /// Replies to a frame decoded from COBS, and carries out the action that the request leaves to the firmware.
     pub fn answer(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
         let mut out = [0; MAX_FRAME];
         let before = (self.state(), *self.service.rules());

@@ -116,7 +116,7 @@ pub struct Body {
 }
 
 impl Body {
-    pub fn of(description: &Description) -> Self {
+    pub fn new(description: &Description) -> Self {
         let home = description.home.unwrap_or_default();
         let joints = description.kind.spec().joints;
         let mechanism = AnyMechanism::new(description).expect("a device that moves");
@@ -223,7 +223,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    pub fn bare(hardware: Hardware, rules: Rules) -> Self {
+    pub fn without_device(hardware: Hardware, rules: Rules) -> Self {
         let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
         let control_loop = ControlLoop::new(hardware, rules);
         Self {
@@ -245,13 +245,13 @@ impl Rig {
     }
 
     /// Creates a disarmed board with a paddle and this scene, homed and with known polarity.
-    pub fn ready(scene: &Scene<f32>) -> Self {
-        Self::with(&paddle(), scene, hardware(), rules())
+    pub fn homed_paddle(scene: &Scene<f32>) -> Self {
+        Self::new(&paddle(), scene, hardware(), rules())
     }
 
-    /// Like [`Rig::ready`], with any device, board and rules.
-    pub fn with(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
-        let mut rig = Self::bare(hardware, rules);
+    /// Like [`Rig::homed_paddle`], with any device, board and rules.
+    pub fn new(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
+        let mut rig = Self::without_device(hardware, rules);
         rig.prepare(description, scene);
         rig
     }
@@ -260,19 +260,19 @@ impl Rig {
     pub fn prepare(&mut self, description: &Description, scene: &Scene<f32>) {
         self.load(description, scene, false).expect("a program that fits");
         self.settle();
-        self.execute(Command::Home).expect("homes at rest");
+        self.execute(Command::Home).expect("a device at rest can be homed");
         self.settle();
-        self.execute(Command::PolarityKnown).expect("cannot be refused");
+        self.execute(Command::PolarityKnown).expect("the command is never refused");
     }
 
     /// Creates an armed paddle that presses 1 cm deep into a wall. 250 N/m need 2.5 A of the allowed 3 A.
-    pub fn pressing(stiffness: f32) -> Self {
-        Self::pressing_in(&scene(1, &[wall(-0.005, stiffness)]))
+    pub fn pressed_paddle(stiffness: f32) -> Self {
+        Self::pressed_paddle_in(&scene(1, &[wall(-0.005, stiffness)]))
     }
 
-    /// Like [`Rig::pressing`], in a scene with a wall at -0.005 m.
-    pub fn pressing_in(scene: &Scene<f32>) -> Self {
-        let mut rig = Self::ready(scene);
+    /// Like [`Rig::pressed_paddle`], in a scene with a wall at -0.005 m.
+    pub fn pressed_paddle_in(scene: &Scene<f32>) -> Self {
+        let mut rig = Self::homed_paddle(scene);
         rig.press_wall();
         rig
     }
@@ -284,21 +284,21 @@ impl Rig {
     }
 
     /// Creates an armed paddle at home in the scene [`far_wall`], after the ramp.
-    pub fn armed() -> Self {
-        Self::armed_with(|_| ())
+    pub fn armed_paddle() -> Self {
+        Self::armed_with_rules(|_| ())
     }
 
-    pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
+    pub fn armed_with_rules(change: impl Fn(&mut Rules)) -> Self {
         let mut rules = rules();
         change(&mut rules);
-        let mut rig = Self::with(&paddle(), &far_wall(), hardware(), rules);
+        let mut rig = Self::new(&paddle(), &far_wall(), hardware(), rules);
         rig.arm();
         rig
     }
 
     /// Arms and waits for the end of the ramp.
     pub fn arm(&mut self) {
-        self.execute(Command::Arm).expect("everything is in place");
+        self.execute(Command::Arm).expect("the board is ready to arm");
         for _ in 0..(0.6 * self.rate) as u32 {
             self.execute(Command::Beat(Beat::Here)).expect("never refused");
             self.step();
@@ -410,7 +410,7 @@ impl Rig {
     }
 
     /// Returns true if the bridges are off and all duties and torques are zero.
-    pub fn motors_off(&self) -> bool {
+    pub fn motors_are_off(&self) -> bool {
         !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.torques() == Torques::default()
     }
 }

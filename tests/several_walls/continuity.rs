@@ -1,7 +1,7 @@
 //! Torques never jump. Their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, device, first_step, normalized, pad_to_three, torque, torque_with_flags, unit_vector};
+use super::{Linkage, Precision, device, first_step, normalized, pad_to_three, torque, torque_with_flags, unit_vector};
 use crate::common::{bilateral_wall, fine_counts, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::device::Device;
@@ -26,7 +26,7 @@ fn largest_slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<
     })
 }
 
-fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
+fn device_poses() -> Vec<(Linkage, Vec<f64>)> {
     vec![
         (device("coupled-five-bar"), vec![2.6, 1.75]),
         (device("serial-3r"), vec![0.4, 0.9, 0.7]),
@@ -54,7 +54,7 @@ const WALL_SETS: [(bool, [bool; 3]); 6] = [
 ];
 
 /// Returns the largest torque per newton that (4) gives for one wall (m), which scales the bounds of slopes.
-fn lever(device: &Shipped, q: &[f64]) -> f64 {
+fn lever(device: &Linkage, q: &[f64]) -> f64 {
     let task = device.spec().task;
     let mut largest = 0.0_f64;
     for i in 0..64 {
@@ -80,12 +80,12 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                     }
                     torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
-                // The fine range passes parallel walls, where the span of the normals would jump. The coarse range ends
+                // The fine range passes parallel walls, where the span of the normals jumps. The coarse range ends
                 // above 90°.
                 let fine = largest_slope(-2.0e-3, 2.0e-3, 400, f);
                 let coarse = largest_slope(-0.3, 2.0, 800, f);
-                // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
-                // levers per newton.
+                // The turning normals of 13 N cause a slope of 13 levers. The shares limit the slope of e₁ to 8 levers per
+                // newton.
                 let bound = 8.0 * 13.0 * lever;
                 assert!(fine < bound && coarse < bound, "{} {ratio}: slopes {fine}, {coarse} > {bound}", device.name);
             }
@@ -122,7 +122,7 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
 
 /// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m). Walls
 /// whose flag in `with` is true have the feed-forward.
-fn board_torques(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
+fn board_torques(file: &Linkage, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
     first_step(file, q, &|tip| {
         let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
             let normal = pad_to_three(normal);
@@ -135,10 +135,9 @@ fn board_torques(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with
     })
 }
 
-/// Computes the torque per newton of the wall `pushing` (m) from the board's steps at penetrations of 1 and 1.1 mm,
-/// where all walls count in full.
+/// Computes the torque per newton of the wall `pushing` (m) from steps at 1 and 1.1 mm, where all walls count in full.
 pub fn lever_of_the_board(
-    file: &Shipped,
+    file: &Linkage,
     q: &[f64],
     walls: &[(Vec<f64>, f64)],
     with: &[bool],
@@ -272,7 +271,7 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?}, reversed {back:?}", device.name);
+        assert!(distance(&forth, &back) < 1.0e-10, "{}: torques {forth:?}, in reversed order {back:?}", device.name);
         // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
@@ -313,7 +312,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
             assert!((full.torque - off.torque).amax() <= 1.0e-5, "the torques differ: {} {}", full.torque, off.torque);
         }
         if let Some(last) = last {
-            assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);
+            assert!((full.torque - last).amax() < 0.25, "pose {k}: torque {} after {last}", full.torque);
         }
         last = Some(full.torque);
     }

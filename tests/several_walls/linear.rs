@@ -1,7 +1,7 @@
 //! Stability of sampled loops with several walls, built from M and J alone and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, device, largest_norm, normalized, torque_with_flags, unit_vector};
+use super::{Linkage, Precision, Random, device, largest_norm, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
@@ -13,7 +13,7 @@ const CUTOFF_HZ: f64 = 100.0;
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
 /// Computes M and the tip rows of J at a pose. Returns `None` near a singularity.
-pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+pub fn matrices(device: &Linkage, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     fn compute<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
         let regularity = m.regularity(&pose);
@@ -39,12 +39,12 @@ pub struct Case {
 
 impl Case {
     /// Creates a case of walls (normal, stiffness) that all have the feed-forward, or all act through Jᵀ.
-    pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
+    pub fn new(device: &Linkage, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
         Self::with_flags(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
     /// Like [`Case::new`]. Only walls whose flag in `with` is true have the feed-forward.
-    pub fn with_flags(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
+    pub fn with_flags(device: &Linkage, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
         let normals = DMatrix::from_fn(walls.len(), task, |i, j| walls[i].0[j]);
@@ -75,8 +75,7 @@ impl Case {
         mobility.complex_eigenvalues().iter().copied().collect()
     }
 
-    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m). Motions along all walls (z = 1) do not
-    /// count.
+    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m). Ignores motions along all walls (z = 1).
     pub fn spectral_radius(&self, stiffness: f64) -> f64 {
         let (walls, joints) = self.rows.shape();
         // The states are q, q̇ T, and for every wall the last distance and two filter states.
@@ -135,8 +134,7 @@ fn critical_stiffness() -> f64 {
     low
 }
 
-/// Returns the largest stable total stiffness (N/m) from the modes. Asserts that the sampled loop is stable just below
-/// and unstable just above.
+/// Returns the largest stable total stiffness (N/m) from the modes. Asserts that the sampled loop has the same limit.
 pub fn stability_limit(case: &Case, critical: f64) -> f64 {
     let found = critical / largest_norm(&case.modes());
     assert!(
@@ -146,7 +144,7 @@ pub fn stability_limit(case: &Case, critical: f64) -> f64 {
     found
 }
 
-pub fn devices() -> Vec<Shipped> {
+pub fn devices() -> Vec<Linkage> {
     [
         "coupled-five-bar",
         "haply-2diy",
@@ -161,10 +159,10 @@ pub fn devices() -> Vec<Shipped> {
 }
 
 /// Draws a regular pose near home.
-pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
+pub fn pose(device: &Linkage, random: &mut Random) -> Vec<f64> {
     let home = device.description.home.expect("a shipped device has a home");
     loop {
-        let q: Vec<f64> = (0..device.spec().joints).map(|i| home[i] + random.between(-0.5, 0.5)).collect();
+        let q: Vec<f64> = (0..device.spec().joints).map(|i| home[i] + random.uniform(-0.5, 0.5)).collect();
         if matrices(device, &q).is_some() {
             return q;
         }
@@ -193,7 +191,7 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
                 assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode} > {bound}", device.name);
             }
             let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
-            assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
+            assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: limit {without} to {with}", device.name);
             largest_ratio = largest_ratio.max(with / without);
             cases += 1;
         }
@@ -211,7 +209,7 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
             let q = pose(&device, &mut random);
             let walls = random.walls(task, set, if set % 4 < 2 { 1.0 } else { 4.0 });
             // At least one wall has the feed-forward, and at least one wall has none.
-            let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
+            let mut with: Vec<bool> = walls.iter().map(|_| random.uniform(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
@@ -238,7 +236,7 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
         for set in 0..24 {
             let q = pose(&device, &mut random);
             let n = random.direction(task);
-            let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
+            let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.uniform(0.2, 1.0)).collect();
             let facets: Vec<(Vec<f64>, f64)> =
                 shares.iter().map(|share| (random.direction_near(&n, 5_f64.to_radians()), *share)).collect();
             // The single wall has the total stiffness along the facets' mean normal.
@@ -270,8 +268,8 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
 }
 
 /// Only the first of two walls has the feed-forward, and the torques are the board's. If the second wall acted through
-/// Jᵀ alone, the stiffest mode would have 1/1.0566 of its mass without any feed-forward. This pair is the worst of
-/// 3,000 random pairs in an independent computation.
+/// Jᵀ alone, the mass of the stiffest mode would fall to 1/1.0566 of the mass without any feed-forward. This pair is
+/// the worst of 3,000 random pairs in an independent computation.
 #[test]
 fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
@@ -288,7 +286,7 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
         let mode = ratio(&board);
         assert!(mode <= 1.0 + 1.0e-6, "feed-forward {with:?}: ratio {mode}");
         // Every further wall with the feed-forward adds mass.
-        assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
+        assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: ratio {mode}, {previous} with fewer feed-forwards");
         previous = mode;
     }
     assert!(previous < 0.9995, "the feed-forward has too little effect: {previous}");
@@ -299,19 +297,18 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
 }
 
 /// Checks a statement of docs/model.md about a second wall, in the plane, with full stiffness and the weight `w`.
-/// Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and the worst
-/// ratio.
+/// Returns the share of random pairs that the feed-forward makes more than 1 % less stable, and the worst ratio.
 fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);
     for _ in 0..sets {
         let column = |angle: f64| DVector::from_vec(unit_vector(angle));
-        let (turn, light) = (random.between(0.0, 3.2), 4_f64.powf(-random.between(0.0, 1.0)));
+        let (turn, light) = (random.uniform(0.0, 3.2), 4_f64.powf(-random.uniform(0.0, 1.0)));
         let (u, v) = (column(turn), column(turn + std::f64::consts::FRAC_PI_2));
         let inertia = &u * u.transpose() + &v * v.transpose() * light;
         let mobility = inertia.clone().try_inverse().expect("a mass matrix");
-        let [n1, n2] = [0, 1].map(|_| column(random.between(0.0, std::f64::consts::TAU)));
-        let (first, second) = (&n1 * n1.transpose(), &n2 * n2.transpose() * 10_f64.powf(random.between(-2.0, 2.0)));
+        let [n1, n2] = [0, 1].map(|_| column(random.uniform(0.0, std::f64::consts::TAU)));
+        let (first, second) = (&n1 * n1.transpose(), &n2 * n2.transpose() * 10_f64.powf(random.uniform(-2.0, 2.0)));
         let counted = (&first + &second * w).symmetric_eigen();
         let stiff = counted.eigenvalues.imax();
         let (e, k1) = (counted.eigenvectors.column(stiff).into_owned(), counted.eigenvalues[stiff]);

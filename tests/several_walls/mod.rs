@@ -20,21 +20,21 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use nalgebra::{Complex, SVector};
 
-struct Shipped {
+struct Linkage {
     name: &'static str,
     description: Description,
     mechanism: AnyMechanism<f64>,
 }
 
-impl Shipped {
+impl Linkage {
     fn spec(&self) -> Spec {
         self.description.kind.spec()
     }
 }
 
-fn device(name: &'static str) -> Shipped {
-    let description = device_file::shipped(name);
-    Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
+fn device(name: &'static str) -> Linkage {
+    let description = device_file::shipped_device(name);
+    Linkage { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
 }
 
 #[derive(Clone, Copy)]
@@ -55,13 +55,13 @@ fn normalized(v: &[f64]) -> Vec<f64> {
 }
 
 /// Computes the joint torques for walls (normal, stiffness, force) at rest, without the device's weight.
-fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
+fn torque(device: &Linkage, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
     torque_with_flags(device, q, walls, &vec![true; walls.len()], precision)
 }
 
 /// Like [`torque`]. Only walls whose flag in `with` is true have the feed-forward.
 fn torque_with_flags(
-    device: &Shipped,
+    device: &Linkage,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
     with: &[bool],
@@ -104,11 +104,11 @@ fn largest_norm(modes: &[Complex<f64>]) -> f64 {
 }
 
 /// A function from the tip position (m) to a scene and a push of the host.
-type SceneAt<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
+type SceneBuilder<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
 
 /// Computes the torques of the board's first step in the scene for the tip position.
-fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
-    fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
+fn first_step(file: &Linkage, q: &[f64], scene: SceneBuilder<'_>) -> Vec<f64> {
+    fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Linkage, q: &[f64], scene: SceneBuilder<'_>) -> Vec<f64> {
         let counts = fine_counts(&SVector::<f64, N>::from_column_slice(q));
         let q = SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / FINE_COUNTS);
         let tip = m.tip(&m.pose::<Libm>(&q));
@@ -126,14 +126,14 @@ fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
 struct Random(u64);
 
 impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    fn uniform(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low + (high - low) * ((self.0 >> 11) as f64 / (1_u64 << 53) as f64)
     }
 
     fn direction(&mut self, task: usize) -> Vec<f64> {
         loop {
-            let v: Vec<f64> = (0..task).map(|_| self.between(-1.0, 1.0)).collect();
+            let v: Vec<f64> = (0..task).map(|_| self.uniform(-1.0, 1.0)).collect();
             let square: f64 = v.iter().map(|x| x * x).sum();
             if (0.01..1.0).contains(&square) {
                 return normalized(&v);
@@ -146,7 +146,7 @@ impl Random {
         let base = self.direction(task);
         let wall = |_| {
             let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.direction_near(&base, 0.5) };
-            (normal, 10_f64.powf(self.between(0.0, decades)))
+            (normal, 10_f64.powf(self.uniform(0.0, decades)))
         };
         (0..2 + set % 3).map(wall).collect()
     }

@@ -1,8 +1,8 @@
-//! Springs and host planes together with walls that have the feed-forward. The loops are built from M, J and the
-//! torques of the board's step.
+//! Springs and host planes together with walls that have the feed-forward. Loops are built from M, J and the board's
+//! torques.
 
 use super::linear::{devices, matrices, pose};
-use super::{Random, Shipped, device, first_step, largest_norm, normalized, pad_to_three, unit_vector};
+use super::{Linkage, Random, device, first_step, largest_norm, normalized, pad_to_three, unit_vector};
 use crate::common::bilateral_wall;
 use haptic_bridge::render::controller::{Push, PushedPlane};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
@@ -19,9 +19,8 @@ struct ForceSet {
     plane: Option<(Vec<f64>, f64)>,
 }
 
-/// Computes the torques of the board's first step. The set is at `shift` (m) from the tip, and the plane 1 cm further
-/// along its normal.
-fn torque(file: &Shipped, q: &[f64], set: &ForceSet, shift: &[f64]) -> DVector<f64> {
+/// Computes the torques of the board's first step. The set is at `shift` (m) from the tip, the plane 1 cm further.
+fn torque(file: &Linkage, q: &[f64], set: &ForceSet, shift: &[f64]) -> DVector<f64> {
     let torque = first_step(file, q, &|tip| {
         let point: [f64; 3] = core::array::from_fn(|i| tip[i] + pad_to_three(shift)[i]);
         let walls = set.walls.iter().map(|(normal, stiffness, with)| Wall {
@@ -61,9 +60,8 @@ fn stiffness(set: &ForceSet, task: usize) -> DMatrix<f64> {
     sum
 }
 
-/// Returns the eigenvalues of the tip's acceleration per displacement (1/s²), with the board's torques and with Jᵀ
-/// alone.
-fn modes(file: &Shipped, q: &[f64], set: &ForceSet) -> [Vec<Complex<f64>>; 2] {
+/// Returns the eigenvalues of the tip's acceleration per displacement (1/s²), with the board's torques and with Jᵀ.
+fn modes(file: &Linkage, q: &[f64], set: &ForceSet) -> [Vec<Complex<f64>>; 2] {
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let task = jacobian.nrows();
     let step = 1.0e-3;
@@ -82,13 +80,13 @@ fn modes(file: &Shipped, q: &[f64], set: &ForceSet) -> [Vec<Complex<f64>>; 2] {
 
 /// Asserts that the modes have real masses that are not lighter than without the feed-forward. Returns the ratio of the
 /// lightest masses with and without the feed-forward.
-fn mass_ratio(file: &Shipped, q: &[f64], set: &ForceSet) -> f64 {
+fn mass_ratio(file: &Linkage, q: &[f64], set: &ForceSet) -> f64 {
     let [board, plain] = modes(file, q, set);
     let without = largest_norm(&plain);
     for mode in &board {
         let real = mode.im.abs() <= 1.0e-5 * without && mode.re >= -1.0e-6 * without;
         assert!(real, "{} {q:?} {set:?}: {mode} is not the inverse of a mass, {without}", file.name);
-        assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: {mode}, {without} plain", file.name);
+        assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: mode {mode}, {without} plain", file.name);
     }
     without / largest_norm(&board)
 }
@@ -102,18 +100,18 @@ fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
         for set in 0..60 {
             let q = pose(&device, &mut random);
             let decades = if set % 4 < 2 { 1.0 } else { 3.0 };
-            let gain = |random: &mut Random| 10_f64.powf(random.between(0.0, decades));
+            let gain = |random: &mut Random| 10_f64.powf(random.uniform(0.0, decades));
             let base = random.direction(task);
             let walls = (0..1 + set % 3)
                 .map(|i| {
                     let near = set % 2 == 0;
                     let n = if near { random.direction_near(&base, 0.5) } else { random.direction(task) };
-                    (n, gain(&mut random), i == 0 || random.between(0.0, 1.0) < 0.5)
+                    (n, gain(&mut random), i == 0 || random.uniform(0.0, 1.0) < 0.5)
                 })
                 .collect();
             let springs = (0..set % 3)
                 .map(|_| {
-                    let line = (random.between(0.0, 1.0) < 0.7).then(|| random.direction(task));
+                    let line = (random.uniform(0.0, 1.0) < 0.7).then(|| random.direction(task));
                     (line, gain(&mut random))
                 })
                 .collect();
@@ -126,7 +124,7 @@ fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
 }
 
 /// Returns the normal n of the demo's wall, and the direction halfway between n and Λ n.
-fn normal_and_oblique(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
+fn normal_and_oblique(file: &Linkage, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = unit_vector(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let back = jacobian.try_inverse().expect("a square Jacobian");

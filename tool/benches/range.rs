@@ -1,4 +1,4 @@
-//! Time of a map, and of one prediction: boundaries of 200 points and their areas without and with the feed-forward.
+//! Times of a map and of one prediction, which has two boundaries of 200 points and their areas.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptic_host::device_file::DeviceFile;

@@ -1,4 +1,4 @@
-//! Time of one shaped torque on this computer, by mass-matrix model and terms: `cargo bench -p haptic --bench step`.
+//! Time to compute one shaped torque on this computer: `cargo bench -p haptic --bench step`.
 //!
 //! `cargo xtask bench` counts the chip's instructions instead.
 

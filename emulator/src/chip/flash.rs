@@ -1,5 +1,4 @@
-//! The flash array behind rigless' flash interface. Programming clears bits, and a sector erase sets them (RM0090
-//! chapter 3).
+//! The flash array behind rigless' flash interface. Programming clears bits, and erasing sets bits (RM0090 chapter 3).
 //!
 //! On silicon, code that runs from flash stalls during a sector erase and while a word is programmed. Here the code
 //! runs on, and only the busy flag stays set for that time.
@@ -20,9 +19,9 @@ const SER: u64 = 1 << 1;
 const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
 /// Token of our own read accesses, different from all tokens of the model.
-const READ: u64 = 1 << 62;
+const READ_TOKEN: u64 = 1 << 62;
 /// Token of our own write accesses, different from all tokens of the model.
-pub(super) const WRITTEN: u64 = READ + 1;
+pub(super) const WRITE_TOKEN: u64 = READ_TOKEN + 1;
 
 /// The flash interface and its array.
 pub type FlashUnit = Hooked<Flash, Array>;
@@ -42,13 +41,13 @@ pub struct Array {
     pub erased: Vec<u64>,
     /// Number of operations (sector erases or programmed words) until the power fails, or `None` for never. The last of
     /// these operations is half done, and no operation after it has an effect. 0 once the power has failed.
-    pub cut: Option<u64>,
+    pub operations_until_cut: Option<u64>,
 }
 
 impl Array {
     /// Begins an operation. Returns how many of its two halves are done.
-    fn operate(&mut self) -> u64 {
-        match &mut self.cut {
+    fn begin_operation(&mut self) -> u64 {
+        match &mut self.operations_until_cut {
             None => 2,
             Some(0) => 0,
             Some(left) => {
@@ -68,20 +67,20 @@ impl Hook<Flash> for Array {
         if began && control & SER != 0 {
             let number = (control >> 3) & 0xF;
             let (start, size) = map::sector(number);
-            for offset in (0..size / 2 * self.operate()).step_by(8) {
-                context.program(start + offset, Width::W64, u64::MAX, WRITTEN);
+            for offset in (0..size / 2 * self.begin_operation()).step_by(8) {
+                context.program(start + offset, Width::W64, u64::MAX, WRITE_TOKEN);
             }
             self.erased.push(number);
         }
     }
 
     fn handle_reply(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
-        if token == READ
+        if token == READ_TOKEN
             && let Some((address, width, wanted)) = self.stores.pop_front()
         {
-            context.program(address, width, value & wanted, WRITTEN);
+            context.program(address, width, value & wanted, WRITE_TOKEN);
         }
-        token == READ || token == WRITTEN
+        token == READ_TOKEN || token == WRITE_TOKEN
     }
 
     fn handle_store(
@@ -93,13 +92,13 @@ impl Hook<Flash> for Array {
         let control = registers.get(Register::Cr);
         if control & PG != 0 && control & LOCK == 0 {
             let (address, width, value) = store;
-            let kept_bits = match self.operate() {
+            let kept_bits = match self.begin_operation() {
                 2 => 0,
                 1 => u64::MAX << (4 * width.bytes()),
                 _ => u64::MAX,
             };
             self.stores.push_back((address, width, value | kept_bits));
-            context.read_from(address, width, READ);
+            context.read_from(address, width, READ_TOKEN);
         }
         true
     }

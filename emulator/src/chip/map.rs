@@ -1,5 +1,4 @@
-//! Memory map of the STM32F405, and the bus that connects its peripherals (RM0090 rev 22, section 2.3, tables 5, 43 and
-//! 63).
+//! Memory map of the STM32F405, and the bus of its peripherals (RM0090 rev 22, section 2.3, tables 5, 43 and 63).
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -98,8 +97,7 @@ fn with_our_tables(stock: &Peripheral) -> Peripheral {
 /// Interrupt number of the USB core (table 63).
 const OTG_LINE: u16 = 67;
 
-/// Returns the register table of a block of the USB core, with a plain word at every offset. [`super::otg`] implements
-/// the registers.
+/// Returns the register table of a block of the USB core from plain words, which [`super::otg`] implements.
 #[must_use]
 pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
     static GLOBAL: [RegisterSpec; 256] = words();
@@ -142,14 +140,14 @@ pub mod exti {
     use super::{RegisterSpec, WriteModify};
 
     /// Offset of IMR, the lines whose interrupt request is enabled.
-    pub const MASK: u32 = 0x00;
+    pub const IMR: u32 = 0x00;
     /// Offset of RTSR, the lines that react to a rising edge.
-    pub const RISING: u32 = 0x08;
+    pub const RTSR: u32 = 0x08;
 
     pub(super) static TABLE: [RegisterSpec; 6] = [
-        register("IMR", MASK, WriteModify::None),
+        register("IMR", IMR, WriteModify::None),
         register("EMR", 0x04, WriteModify::None),
-        register("RTSR", RISING, WriteModify::None),
+        register("RTSR", RTSR, WriteModify::None),
         register("FTSR", 0x0C, WriteModify::None),
         register("SWIER", 0x10, WriteModify::None),
         register("PR", 0x14, WriteModify::OneToClear),

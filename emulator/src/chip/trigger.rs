@@ -38,7 +38,7 @@ pub fn timer(nth: usize) -> MasterTimer {
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
     inner.set_reference(REFERENCE_UV);
-    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
+    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], ignores_triggers: false } }
 }
 
 /// Latest outputs of a timer, and their durations.
@@ -70,23 +70,22 @@ pub struct Span {
 impl Outputs {
     /// Returns the on-times from the last call until `now`.
     pub fn take_span(&mut self, now: VirtualNanos) -> Span {
-        self.account(now);
+        self.count_time(now);
         std::mem::take(&mut self.span)
     }
 
-    /// Returns the time of the last rising edge of channel 4's reference, ns. On these boards that is one tick before
-    /// the crest.
+    /// Returns the time of the last rising edge of channel 4's reference, one tick before a crest, ns.
     #[must_use]
     pub fn crest(&self) -> Option<u64> {
         self.crest
     }
 
     /// Starts to count time at the end of a reset.
-    pub fn begin(&mut self, at: VirtualNanos) {
+    pub fn start_counting(&mut self, at: VirtualNanos) {
         self.counted_until = at.0;
     }
 
-    fn account(&mut self, now: VirtualNanos) {
+    fn count_time(&mut self, now: VirtualNanos) {
         let passed = now.0.saturating_sub(self.counted_until);
         self.counted_until = self.counted_until.max(now.0);
         self.span.length_ns += passed;
@@ -104,7 +103,7 @@ const MOE: u64 = 1 << 15;
 
 impl Hook<Tim<Advanced>> for Outputs {
     fn after_call(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        self.account(context.now());
+        self.count_time(context.now());
         self.main_output_enabled = registers.get(TimRegister::Bdtr) & MOE != 0;
         for (number, reference) in (1..).zip(&mut self.references) {
             let channel = Channel::new(number).expect("a timer has four channels");
@@ -148,7 +147,7 @@ impl Hook<Tim<Advanced>> for Outputs {
 pub struct ExternalTrigger {
     instance: &'static str,
     /// True if triggers have no effect.
-    pub stopped: bool,
+    pub ignores_triggers: bool,
 }
 
 /// Bit that starts the injected group like a trigger.
@@ -164,7 +163,7 @@ impl Hook<Adc> for ExternalTrigger {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if change.instance == self.instance || self.stopped {
+        if change.instance == self.instance || self.ignores_triggers {
             return;
         }
         let control = registers.get(Register::Cr2);

@@ -24,7 +24,7 @@ pub struct Outcome {
 }
 
 /// Returns true if every bridge floats and the power stages are disabled.
-pub fn bridges_off(stopped: &mut StoppedBoard<'_>) -> bool {
+pub fn bridges_are_off(stopped: &mut StoppedBoard<'_>) -> bool {
     stopped.hardware().bridges_float()
 }
 
@@ -35,13 +35,13 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let Injection::Chip { create, cause, within_ms, .. } = injection(fault) else { return None };
     let name = fault.name();
     let mut rig = create();
-    let resets = rig.with(|stopped| stopped.resets().len());
+    let resets = rig.while_stopped(|stopped| stopped.resets().len());
     let before = rig.steps();
     let began = rig.now();
     cause(&mut rig);
     let mut off_at = None;
     while rig.now() < began + within_ms * MILLISECOND {
-        if rig.with(bridges_off) {
+        if rig.while_stopped(bridges_are_off) {
             off_at = Some((rig.now(), rig.steps()));
             break;
         }
@@ -52,8 +52,8 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     rig.run(20 * MILLISECOND);
     // After a restart the host must enumerate the chip again.
     let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
-    assert!(ready_again, "{name}: the port is gone");
-    let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
+    assert!(ready_again, "{name}: the USB port did not return");
+    let restarted = rig.while_stopped(|stopped| stopped.resets().len()) > resets;
     if restarted {
         rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
     }
@@ -79,7 +79,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     // After a restart the chip has also lost its device, and refuses for that reason.
     let refused_after_restart = restarted && matches!(answer, Err(BoardError::Refused(_)));
     assert!(names_fault || refused_after_restart, "{name}: arming was not refused: {answer:?}");
-    assert!(rig.with(bridges_off), "{name}: bridges came on again");
+    assert!(rig.while_stopped(bridges_are_off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
         // The NaN is still in the scene, and only a new scene removes it.
         rig.set_scene("");
@@ -88,14 +88,14 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     rig.run(MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
-    assert!(rig.with(bridges_off), "{name}: clearing turned the bridges on");
+    assert!(rig.while_stopped(bridges_are_off), "{name}: clearing turned the bridges on");
     if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged | Fault::WrongBoard) {
         // Neither clearing nor loading the device again after the restart repairs anything.
         rig.load("");
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
         let answer = rig.tool.check_polarity();
         let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(names_fault && rig.with(bridges_off), "{name}: the check was not refused: {answer:?}");
+        assert!(names_fault && rig.while_stopped(bridges_are_off), "{name}: the check was not refused: {answer:?}");
     }
     let periods_from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // This fault is detected before the bridges are ever on. The steps since then only waited for the reply.

@@ -19,10 +19,10 @@ use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 
 /// Armed state, as in the first column of [`Field::State`].
-const ARMED: f64 = 1.0;
+const ARMED_STATE: f64 = 1.0;
 
 fn is_armed(row: &Row) -> bool {
-    row.get(Field::State).first() == Some(&ARMED)
+    row.get(Field::State).first() == Some(&ARMED_STATE)
 }
 
 #[test]
@@ -75,14 +75,14 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         let rules = rig.tool.rules().expect("it replies");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
         let hardware = Hardware {
-            axes: Wiring::of(kind).motors.len(),
+            axes: Wiring::of_board(kind).motors.len(),
             real: true,
             bus_sensed: true,
             bridge,
             timer_hz: 168_000_000,
         };
         let device = Device::new(&file.name, &file.description).expect("a device");
-        let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
+        let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("the scene fits f32");
         let program: Program<BoardMath> =
             Program::new(&hardware, &rules.limits, &device, &scene, false).expect("a program");
         let mut control_loop = ControlLoop::new(hardware, rules);
@@ -139,7 +139,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
                 let pc = library_values(field).map(settled);
-                assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, library_values(field));
+                assert_eq!(chip, pc, "{name}: {field:?} at step {} (PC: {:?})", row.step, library_values(field));
             }
             compared += 1;
             touched += usize::from(frame.at.walls.wall_force > 0.0);

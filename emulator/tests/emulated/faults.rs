@@ -14,12 +14,12 @@ use crate::session::WALL;
 fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
-    rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
+    rig.home_and_arm();
+    rig.while_stopped(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
-    let motor_inputs = rig.with(|stopped| stopped.hardware().motor_inputs());
+    let motor_inputs = rig.while_stopped(|stopped| stopped.hardware().motor_inputs());
     assert_eq!(motor_inputs, [MotorInput::Floating; 3]);
     // The low level of EN_GATE has cleared the driver's fault, so the board can be armed again.
     rig.tool.clear().expect("the fault clears");
@@ -33,7 +33,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
 fn refused_requests_do_not_reach_the_gate_drivers() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.with(|stopped| stopped.hardware().driver(0).ignore_writes(true));
+    rig.while_stopped(|stopped| stopped.hardware().driver(0).ignore_writes(true));
     for outcome in [rig.tool.arm(), rig.tool.check_polarity()] {
         assert!(matches!(outcome, Err(BoardError::Refused(Refusal::NotHomed))), "{outcome:?}");
     }
@@ -46,13 +46,13 @@ fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("homed");
-    rig.with(|stopped| stopped.hardware().driver(0).ignore_writes(true));
+    rig.while_stopped(|stopped| stopped.hardware().driver(0).ignore_writes(true));
     let outcome = rig.tool.check_polarity();
     rig.run(SECOND / 2);
     let status = rig.tool.status().expect("it replies");
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
     assert!(refused || status.state == State::Fault, "neither a refusal nor a fault: {outcome:?} {status:?}");
     assert!(!status.polarity);
-    let motor_inputs = rig.with(|stopped| stopped.hardware().motor_inputs());
+    let motor_inputs = rig.while_stopped(|stopped| stopped.hardware().motor_inputs());
     assert_eq!(motor_inputs, [MotorInput::Floating; 3]);
 }

@@ -31,6 +31,6 @@ fn fast_force_requests_are_all_accepted_without_missed_periods() {
         );
         assert!(result.per_second > least, "{result:?}");
         assert_eq!((result.rejected, result.overruns, result.losses.missing), (0, 0, 0), "{result:?}");
-        assert!(result.armed && result.steps.abs_diff(result.periods) <= 1, "{result:?}");
+        assert!(result.is_armed && result.steps.abs_diff(result.periods) <= 1, "{result:?}");
     }
 }

@@ -9,13 +9,13 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Wiring};
 use haptic_emulator::cases::{CASES, SceneKind};
-use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::contact::{NearWall, scene};
 use haptic_emulator::hands::push;
-use haptic_emulator::inject::bridges_off;
+use haptic_emulator::inject::bridges_are_off;
 use haptic_emulator::results;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
-use haptic_emulator::timing::{recorded_lengths, steps};
+use haptic_emulator::timing::{recorded_lengths, step_table};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 
@@ -32,7 +32,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     });
     assert_eq!((rig.tool.info().protocol, rig.tool.info().board.as_str()), (PROTOCOL, kind.name()));
     let details = rig.tool.details().expect("the board replies");
-    assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
+    assert_eq!(usize::from(details.axes), Wiring::of_board(kind).motors.len());
     assert!(details.real && details.device.is_none(), "{details:?}");
 
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::NoDevice);
@@ -47,7 +47,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
         [Field::State, Field::Distance, Field::WallForce, Field::Torque].iter().fold(0, |set, field| set | field.bit());
     rig.tool.start_stream(Fields(fields), ROW_DIVIDER).expect("a stream starts");
     let start = rig.with_simulated(|device| device.tip());
-    let wall = WallAt { damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
+    let wall = NearWall { damping: 3.0, ..NearWall::with_normal([0.0, -1.0, 0.0]) };
     rig.set_scene(&scene(head, start, rig.file.as_ref().map_or(2, |file| file.spec().task), &[wall]));
     rig.arm();
     rig.with_simulated(|device| push(device, [0.0, PUSH_N, 0.0], 0.2));
@@ -57,7 +57,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     {
         let mut runs: Vec<u64> = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).collect();
         runs.sort_unstable();
-        // The longer half of the interrupts are crests. Their median is no crest that checks the host (twice a second).
+        // The longer half of the interrupts are crests. Their median ignores the rare crests that check the host.
         let crest = runs.get(runs.len() * 3 / 4).copied();
         let (limit, _) = recorded_lengths(&recorded_table("timing"), case).expect("the case is in the table");
         assert!(
@@ -67,13 +67,13 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     }
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
     // The tolerance covers current sensors, encoder steps and a trembling hand.
-    assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "{depth} m deep");
+    assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "the tip is {depth} m deep in the wall");
 
-    rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+    rig.while_stopped(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
-    assert!(rig.with(bridges_off), "the bridges are on");
+    assert!(rig.while_stopped(bridges_are_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
-    assert_eq!(rig.with(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
+    assert_eq!(rig.while_stopped(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(fault));
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
@@ -85,7 +85,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board replies"));
     assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
     assert_eq!(details.overruns, 0);
-    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
+    assert!(rig.while_stopped(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
 /// Checks the telemetry of the entire session. The states are off, armed, off. Outside the wall there is no force, and
@@ -100,7 +100,7 @@ fn check_rows(rows: &[Row], stiffness: f64) {
     let (force, depth) = (mean(Field::WallForce), -mean(Field::Distance));
     assert!(
         (force - PUSH_N).abs() < 0.08 * PUSH_N && (depth * stiffness - force).abs() < 0.02 * PUSH_N,
-        "{force} N, {depth} m"
+        "a force of {force} N at a depth of {depth} m"
     );
     for row in rows {
         assert!(row.get(Field::WallForce)[0] == 0.0 || row.get(Field::Distance)[0] < 0.0, "{row:?}");
@@ -122,7 +122,7 @@ fn is_within_record(now: u64, recorded: u64) -> bool {
 /// With `UPDATE_DOCS=1` this test writes the table again, like `cargo xtask timing`.
 #[test]
 fn control_steps_stay_within_the_recorded_instructions() {
-    let now = steps();
+    let now = step_table();
     if std::env::var_os("UPDATE_DOCS").is_some() {
         return std::fs::write(results("timing-steps"), now).expect("the table can be written");
     }

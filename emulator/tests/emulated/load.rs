@@ -81,11 +81,11 @@ fn a_missed_crest_turns_the_motors_off() {
         let mut rig = SCENES[0].rig(rate_hz);
         for phase in 0..10 {
             rig.run(phase * carrier / 10);
-            rig.with(|stopped| stopped.hold_core(true));
+            rig.while_stopped(|stopped| stopped.hold_core(true));
             rig.run(carrier);
-            rig.with(|stopped| stopped.hold_core(false));
+            rig.while_stopped(|stopped| stopped.hold_core(false));
             rig.run(MILLISECOND);
-            let floats = rig.with(|stopped| stopped.hardware().bridges_float());
+            let floats = rig.while_stopped(|stopped| stopped.hardware().bridges_float());
             let status = rig.tool.status().expect("the board replies");
             let fault = status.fault.map(|record| record.fault);
             assert_eq!((floats, fault), (true, Some(Fault::ControlOverrun)), "{rate_hz} Hz, phase {phase}: {status:?}");

@@ -1,12 +1,11 @@
 //! Injected errors of sensors and motors in the release image, at the slowest rate and in the middle of a control
-//! period. A check in the control step alone would be late there. `cargo xtask faults` covers every rate and ten
-//! instants.
+//! period. A check in the control step alone would be late. `cargo xtask faults` covers all rates.
 
 use haptic_emulator::campaign::{CASES, Campaign};
 
 #[test]
 fn injected_errors_are_detected_before_a_motor_runs_away() {
-    let mut campaign = Campaign::at(200);
+    let mut campaign = Campaign::new(200);
     let required: Vec<_> = CASES.iter().filter(|case| case.must_detect).collect();
     assert!(required.len() >= 8, "only {} errors must be detected", required.len());
     for case in required {

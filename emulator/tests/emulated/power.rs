@@ -37,27 +37,27 @@ fn scene(rig: &mut Rig) -> SceneData {
 /// Restarts the board with `words` in the sectors of its settings.
 fn restart_with(words: &[u32], rig: Rig) -> Rig {
     let words = words.to_vec();
-    rig.with(move |stopped| stopped.set_flash(SETTINGS_RANGE.start, &words));
+    rig.while_stopped(move |stopped| stopped.set_flash(SETTINGS_RANGE.start, &words));
     rig.run(MILLISECOND);
     rig.restart()
 }
 
 /// Cuts the power within the flash operation number `operation`, counted from now.
 fn cut_power_at(rig: &Rig, operation: u64) {
-    rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
+    rig.while_stopped(move |stopped| stopped.hardware().chip.flash.hook.operations_until_cut = Some(operation));
 }
 
 fn operations_left(rig: &Rig) -> Option<u64> {
-    rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
+    rig.while_stopped(|stopped| stopped.hardware().chip.flash.hook.operations_until_cut)
 }
 
 /// Cuts the power within every `step`th operation of a save that changes the scene. Returns the number of operations.
 fn check_cuts(step: usize, mut rig: Rig) -> u64 {
-    let flash = rig.with(|stopped| stopped.flash(SETTINGS_RANGE));
+    let flash = rig.while_stopped(|stopped| stopped.flash(SETTINGS_RANGE));
     let old = scene(&mut rig);
     cut_power_at(&rig, MANY_OPERATIONS);
     assert!(save(&mut rig, 600));
-    let operations = MANY_OPERATIONS - operations_left(&rig).expect("it was set");
+    let operations = MANY_OPERATIONS - operations_left(&rig).expect("a power cut is set");
     let new = scene(&mut rig);
     assert_ne!(old, new);
     let mut found_new = 0;
@@ -81,7 +81,7 @@ fn check_cuts(step: usize, mut rig: Rig) -> u64 {
 }
 
 /// Cuts every fifth operation, because no pattern of the entries has the period 5. tests/power_cut.rs cuts every
-/// operation on a PC.
+/// operation.
 #[test]
 fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
     assert!(check_cuts(5, saved_rig()) > 20);
@@ -90,17 +90,17 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
 #[test]
 fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     let mut rig = saved_rig();
-    let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
+    let erased = |rig: &Rig| rig.while_stopped(|stopped| stopped.hardware().chip.flash.hook.erased.len());
     // Saves until a save has erased a sector.
     let mut before = Vec::new();
     for nth in 0..400 {
-        before = rig.with(|stopped| stopped.flash(SETTINGS_RANGE));
-        assert!(save(&mut rig, 500 + nth % 2), "save {nth}");
+        before = rig.while_stopped(|stopped| stopped.flash(SETTINGS_RANGE));
+        assert!(save(&mut rig, 500 + nth % 2), "save {nth} failed");
         if erased(&rig) > 0 {
             break;
         }
     }
     assert_eq!(erased(&rig), 1);
-    assert!(rig.with(|stopped| stopped.resets().is_empty()), "the board restarted");
+    assert!(rig.while_stopped(|stopped| stopped.resets().is_empty()), "the board restarted");
     assert!(check_cuts(37, restart_with(&before, rig)) > 100);
 }

@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::hardware::Hardware;
-use haptic_emulator::inject::{after_crest, bridges_off, run_instead};
+use haptic_emulator::inject::{after_crest, bridges_are_off, replace_task};
 use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
@@ -20,7 +20,7 @@ use crate::session::WALL;
 fn armed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig
 }
 
@@ -28,14 +28,14 @@ fn armed_rig(kind: BoardKind) -> Rig {
 fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
-        assert!(!rig.with(bridges_off), "the bridges float before the reset");
-        rig.with(|stopped| stopped.reset());
+        assert!(!rig.while_stopped(bridges_are_off), "the bridges float before the reset");
+        rig.while_stopped(|stopped| stopped.reset());
         rig.run(20 * MICROSECOND);
-        assert!(rig.with(bridges_off), "{}", kind.name());
-        rig.with(|stopped| stopped.hardware().peaks = Peaks::default());
+        assert!(rig.while_stopped(bridges_are_off), "{}", kind.name());
+        rig.while_stopped(|stopped| stopped.hardware().peaks = Peaks::default());
         rig.run(40 * MILLISECOND);
         assert!(
-            !rig.with(|stopped| stopped.hardware().peaks.bridge_was_on),
+            !rig.while_stopped(|stopped| stopped.hardware().peaks.bridge_was_on),
             "{}: within 40 ms after the reset",
             kind.name()
         );
@@ -49,14 +49,14 @@ fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     for rate in [200, 1_000] {
         let mut rig = Rig::with_device(BoardKind::HBridgeF405, "pantograph-mk2", |_| ());
         rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
-        rig.ready();
+        rig.home_and_arm();
         for _ in 0..5 {
             rig.tool.disarm().expect("the board disarms");
             rig.run(7 * MILLISECOND + 300 * MICROSECOND);
-            assert!(rig.with(bridges_off), "disarmed");
+            assert!(rig.while_stopped(bridges_are_off), "disarmed");
             rig.tool.arm().expect("the board arms");
             rig.run(60 * MICROSECOND);
-            assert!(!rig.with(bridges_off), "{rate} Hz: the board is armed, but the bridges float");
+            assert!(!rig.while_stopped(bridges_are_off), "{rate} Hz: the board is armed, but the bridges float");
         }
     }
 }
@@ -74,7 +74,7 @@ const CARRIERS_STOP: u64 = 0b11;
 fn a_halted_core_stops_the_carriers_and_the_watchdog() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        let (first, second) = rig.with(|stopped| {
+        let (first, second) = rig.while_stopped(|stopped| {
             let chip = &stopped.hardware().chip;
             (chip.register("DBG", APB1_FREEZE), chip.register("DBG", APB2_FREEZE))
         });
@@ -91,14 +91,15 @@ const MAIN_OUTPUT_ENABLE: u64 = 1 << 15;
 #[test]
 fn the_break_input_works_without_the_processor() {
     let rig = armed_rig(BoardKind::HBridgeF405);
-    let outputs =
-        || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & MAIN_OUTPUT_ENABLE);
+    let outputs = || {
+        rig.while_stopped(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & MAIN_OUTPUT_ENABLE)
+    };
     let executed = || rig.shared.board().instructions();
     assert_eq!(outputs(), MAIN_OUTPUT_ENABLE);
-    rig.with(|stopped| stopped.hold_core(true));
+    rig.while_stopped(|stopped| stopped.hold_core(true));
     rig.run(MICROSECOND);
     let before = executed();
-    rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+    rig.while_stopped(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
     assert_eq!(outputs(), 0, "the outputs are on");
     assert_eq!(executed(), before, "the processor executed instructions");
@@ -110,7 +111,7 @@ fn the_break_input_works_without_the_processor() {
 #[test]
 fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
-    let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
+    let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of_board);
     let with = |pins_held_high| -> &'static Wiring {
         Box::leak(Box::new(Wiring { pins_held_high, supply_mv: 3300, ..*discovery_wires }))
     };
@@ -125,8 +126,9 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         (discovery, module_wires, 0x24),
     ] {
         let mut rig = Rig::on_other_board(kind, board, "pantograph-mk2");
-        let untouched =
-            |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_off(stopped));
+        let untouched = |rig: &Rig| {
+            rig.while_stopped(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_are_off(stopped))
+        };
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
         let fault_of = |rig: &mut Rig| {
             let status = rig.tool.status().expect("the board replies");
@@ -136,8 +138,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
         assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
-        // The board is still wrong after clearing. An image that reads the bus voltage from the wrong pin may refuse
-        // for that reason.
+        // After clearing, the board is still wrong. The refusal may name the bus voltage, read from the wrong pin.
         rig.tool.clear().expect("the fault clears");
         rig.tool.home().expect("homed");
         let again = refusal_of(rig.tool.check_polarity());
@@ -152,13 +153,13 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
 /// Images for 3.3 V boards wait for a higher supply voltage than the 3 V of a Discovery board.
 #[test]
 fn images_of_other_boards_do_not_start_at_three_volts() {
-    let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
+    let wires = Wiring::of_board(BoardKind::HBridgeF407Disc1);
     for kind in [BoardKind::OdriveV3, BoardKind::HBridgeF405] {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
         board.run(SECOND);
         let (ready, touched) =
-            board.with(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.power_pin_was_driven));
+            board.while_stopped(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.power_pin_was_driven));
         assert!(!ready && !touched, "{}", kind.name());
     }
 }
@@ -169,9 +170,9 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
         after_crest(&rig, 3);
-        rig.with(|stopped| stopped.set_supply(2_600));
+        rig.while_stopped(|stopped| stopped.set_supply(2_600));
         let fell = rig.now();
-        while !rig.with(bridges_off) {
+        while !rig.while_stopped(bridges_are_off) {
             rig.run(MICROSECOND / 10);
         }
         let took = rig.now() - fell;
@@ -184,10 +185,10 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
 fn a_halted_core_is_reset_within_twenty_milliseconds() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
-        rig.with(|stopped| stopped.hold_core(true));
+        rig.while_stopped(|stopped| stopped.hold_core(true));
         rig.run(20 * MILLISECOND);
-        assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
-        assert!(rig.with(bridges_off), "{}", kind.name());
+        assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 1, "{}", kind.name());
+        assert!(rig.while_stopped(bridges_are_off), "{}", kind.name());
     }
 }
 
@@ -228,7 +229,7 @@ fn no_code_can_change_how_gates_are_driven() {
             registers.flat_map(|((name, base), all)| all.iter().map(move |at| (*name, *base, *at))).collect();
         let read_registers = |rig: &Rig| {
             let registers = registers.clone();
-            rig.with(move |stopped| {
+            rig.while_stopped(move |stopped| {
                 let read =
                     |(name, base, at): (&str, u32, u32)| (base + at, stopped.hardware().chip.register(name, at) as u32);
                 registers.into_iter().map(read).collect::<Vec<_>>()
@@ -254,7 +255,7 @@ fn no_code_can_change_how_gates_are_driven() {
                 (value, *address)
             })
             .collect();
-        run_instead(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
+        replace_task(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
         rig.run(50 * MILLISECOND);
         assert_eq!(read_registers(&rig), before, "{}", kind.name());
     }
@@ -270,19 +271,19 @@ fn check_watchdog(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least:
 fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
-    rig.ready();
-    run_instead(&rig, task, code);
+    rig.home_and_arm();
+    replace_task(&rig, task, code);
     let began = rig.now();
-    let resets = rig.with(|stopped| stopped.resets().len());
-    while rig.with(|stopped| stopped.resets().len()) == resets {
+    let resets = rig.while_stopped(|stopped| stopped.resets().len());
+    while rig.while_stopped(|stopped| stopped.resets().len()) == resets {
         rig.run(MILLISECOND);
         assert!(rig.now() < began + most * MILLISECOND, "no reset after {most} ms");
     }
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
-    assert!(rig.with(bridges_off), "bridges are on after the reset");
+    assert!(rig.while_stopped(bridges_are_off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
-    assert!(ready, "the port is gone");
+    assert!(ready, "the USB port did not return");
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
@@ -324,19 +325,19 @@ fn a_slow_control_interrupt_causes_a_watchdog_reset() {
 #[test]
 fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     let mut rig = armed_rig(BoardKind::OdriveV3);
-    rig.with(|stopped| stopped.set_supply(2700));
+    rig.while_stopped(|stopped| stopped.set_supply(2700));
     rig.run(100 * MICROSECOND);
-    let steps = rig.with(|stopped| stopped.resets().len());
+    let steps = rig.while_stopped(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
-        assert!(rig.with(bridges_off), "bridges are on after {} ns", rig.now());
+        assert!(rig.while_stopped(bridges_are_off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
-    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().is_ready()));
+    let (resets, ready) = rig.while_stopped(|stopped| (stopped.resets().len(), stopped.usb().is_ready()));
     assert!(resets == steps && !ready, "{resets} resets; the board runs with a low supply");
-    rig.with(|stopped| stopped.set_supply(3300));
+    rig.while_stopped(|stopped| stopped.set_supply(3300));
     assert!(
         rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
-        "the port is gone"
+        "the USB port did not return"
     );
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
@@ -348,24 +349,23 @@ fn an_idle_board_has_no_watchdog_reset() {
     let mut rig = armed_rig(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
-    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
-/// When the request arrives, the board simulates the effect of a single count on a velocity. It does not feed the
-/// watchdog meanwhile.
+/// The request makes the board simulate the effect of a single count on a velocity, without feeding the watchdog.
 #[test]
 fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 10000\nestimator = \"difference\"\ndifference_over = 32\ncutoff_hz = 1\n{WALL}"));
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::USUAL, 10).expect("a stream starts");
     for (estimator, cutoff) in [(slow(32), 1.0), (slow(31), 0.5), (Estimator::Butterworth, 0.5), (slow(32), 2.0)] {
         rig.tool.set_estimator(estimator, cutoff).expect("the estimator changes while armed");
         rig.run(100 * MILLISECOND);
     }
-    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
@@ -403,7 +403,7 @@ fn torque_rises_over_half_a_second_after_arming() {
     let torques: Vec<f64> = rows.iter().map(|row| row.values[0].abs()).collect();
     let armed = torques.iter().position(|torque| *torque > 0.0).expect("torque after arming");
     let full = torques[armed + 600];
-    assert!(full > 1e-3, "{full} N m");
+    assert!(full > 1e-3, "the full torque is {full} N m");
     // There is one row per millisecond.
     for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
         let risen = torques[armed + after] / full;

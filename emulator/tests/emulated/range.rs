@@ -2,7 +2,7 @@
 //! feed-forward must enlarge it. docs/results.md has the complete measurement of `cargo xtask range`.
 
 use haptic_bridge::render::scene::FeedForward;
-use haptic_emulator::range::{RATES, delay_samples, measure_on, predicted, rig, rigid_device};
+use haptic_emulator::range::{RATES, delay_samples, measure_on, predicted_range, rig, rigid_device};
 
 /// Largest deviation of the boundary from the theory, as a share. It depends on the interrupt's phase in the carrier
 /// period, which differs between images. With the feed-forward, one point of one image was 5 to 7 % below the theory.
@@ -14,9 +14,9 @@ fn boundary_agrees_with_theory(feed_forward: FeedForward) {
     let test_device = rigid_device();
     let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, RATES[0]);
-    let end = predicted(&test_device, RATES[0], delay, None).of(feed_forward).kd_max;
+    let end = predicted_range(&test_device, RATES[0], delay, None).of(feed_forward).kd_max;
     let kd = DAMPING_SHARES.map(|share| share * end);
-    let theory = predicted(&test_device, RATES[0], delay, Some(&kd));
+    let theory = predicted_range(&test_device, RATES[0], delay, Some(&kd));
     measure_on(&mut rig, &test_device, RATES[0], |prepared| {
         for point in &theory.of(feed_forward).boundary {
             for strength in [1.0, 0.7] {

@@ -9,7 +9,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::inject::bridges_off;
+use haptic_emulator::inject::bridges_are_off;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 use haptic_host::link::{Board, BoardError};
@@ -101,7 +101,7 @@ fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
         let before = contents(&mut rig.tool);
         let outcome = request(&mut rig.tool);
         for _ in 0..40 {
-            assert_eq!(!rig.with(bridges_off), driving, "{name} while {state:?}");
+            assert_eq!(!rig.while_stopped(bridges_are_off), driving, "{name} while {state:?}");
             rig.run(25 * MICROSECOND);
         }
         assert!(matches!(outcome, Err(BoardError::Refused(_))), "{name} while {state:?}: {outcome:?}");
@@ -142,9 +142,9 @@ fn refused_requests_change_neither_pins_nor_data() {
         check_refused(&mut rig, State::Armed, NEED_READINESS);
         check_refused(&mut rig, State::Armed, NEED_MOTORS_OFF);
 
-        rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
+        rig.while_stopped(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
         rig.run(20 * MILLISECOND);
-        rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
+        rig.while_stopped(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
         check_refused(&mut rig, State::Fault, NEED_READINESS);
         check_refused(&mut rig, State::Fault, ALWAYS_REFUSED);
     }

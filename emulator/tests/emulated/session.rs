@@ -18,16 +18,17 @@ fn settings_survive_a_reset() {
         let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
         rig.load(WALL);
         rig.tool.set_name(&"left hand".try_into().expect("a short name")).expect("the board takes a name");
-        let (device, scene) = (rig.tool.device().expect("it replies"), rig.tool.scene().expect("it replies"));
+        let (device, scene) =
+            (rig.tool.device().expect("the board replies"), rig.tool.scene().expect("the board replies"));
         rig.tool.save().expect("the settings are written");
 
         let mut rig = rig.restart();
         let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.name.as_str(), "left hand");
         assert!(details.damage.is_empty(), "{:?}", details.damage);
-        assert_eq!(rig.tool.device().expect("it replies"), device);
-        assert_eq!(rig.tool.scene().expect("it replies"), scene);
-        assert!(!rig.tool.status().expect("it replies").homed, "a reset loses the home");
+        assert_eq!(rig.tool.device().expect("the board replies"), device);
+        assert_eq!(rig.tool.scene().expect("the board replies"), scene);
+        assert!(!rig.tool.status().expect("the board replies").homed, "a reset loses the home");
     }
 }
 
@@ -37,7 +38,7 @@ fn unsaved_changes_are_lost_in_a_reset() {
     rig.load(WALL);
     rig.run(SECOND / 10);
     let mut rig = rig.restart();
-    assert_eq!(rig.tool.device().expect("it replies"), None);
+    assert_eq!(rig.tool.device().expect("the board replies"), None);
 }
 
 fn send_largest_table(rig: &mut Rig) {
@@ -67,5 +68,5 @@ fn a_restored_backup_of_three_joints_leaves_stack_free() {
     let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);
     assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never used", details.stack_free);
-    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
+    assert!(rig.while_stopped(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }

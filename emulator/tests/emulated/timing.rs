@@ -4,8 +4,7 @@ use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
 use haptic_emulator::timing::recorded_lengths;
 
-/// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
-/// timing`.
+/// Largest ratio to the recorded instructions. If a test exceeds it, find the cause and run `cargo xtask timing`.
 const MAX_INSTRUCTION_RATIO: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {
@@ -16,8 +15,8 @@ fn stays_within_record(nth: usize) {
     println!("{}: {timing:?}", case.name());
     assert!(timing.steps > 200, "{timing:?}");
     let allowed = |recorded: u64| (recorded as f64 * MAX_INSTRUCTION_RATIO) as u64;
-    assert!(timing.longest_step <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
-    assert!(timing.longest_valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
+    assert!(timing.longest_step <= allowed(longest), "{}: longest step {longest} recorded: {timing:?}", case.name());
+    assert!(timing.longest_valley <= allowed(valley), "{}: longest valley {valley} recorded: {timing:?}", case.name());
 }
 
 #[test]

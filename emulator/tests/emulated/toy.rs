@@ -1,7 +1,7 @@
 //! The firmware runs on a board that is not shipped: `toy_board.rs`, with the wiring in this file.
 
 use haptic_emulator::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
-use haptic_emulator::contact::WallAt;
+use haptic_emulator::contact::NearWall;
 use haptic_emulator::rig::Rig;
 
 static TOY: Wiring = Wiring {
@@ -30,7 +30,7 @@ static TOY: Wiring = Wiring {
 
 #[test]
 fn a_toy_board_is_one_file_and_renders_a_wall() {
-    let wall = WallAt { feed_forward: "off", ..WallAt::facing([-1.0, 0.0, 0.0]) };
+    let wall = NearWall { feed_forward: "off", ..NearWall::with_normal([-1.0, 0.0, 0.0]) };
     let pressed = 2.0;
     let mut rig = Rig::in_contact(&TOY, "hapkit-paddle", "", &[wall], pressed);
     assert_eq!(rig.tool.info().board.as_str(), TOY.name);

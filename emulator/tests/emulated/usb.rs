@@ -9,7 +9,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::contact::WallAt;
+use haptic_emulator::contact::NearWall;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
 use haptic_emulator::usb::Event;
@@ -24,32 +24,32 @@ fn is_replying(rig: &Rig) -> bool {
 
 fn wait_until_ready(rig: &Rig) {
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
-    assert!(ready, "no port after two seconds: {:?}", rig.with(|stopped| stopped.usb().log().to_vec()));
+    assert!(ready, "no port after two seconds: {:?}", rig.while_stopped(|stopped| stopped.usb().log().to_vec()));
 }
 
 #[test]
 fn a_board_replies_after_each_replug() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     for _ in 0..3 {
-        rig.with(|stopped| stopped.usb().plug(false));
+        rig.while_stopped(|stopped| stopped.usb().plug(false));
         rig.run(200 * MILLISECOND);
-        rig.with(|stopped| stopped.usb().plug(true));
+        rig.while_stopped(|stopped| stopped.usb().plug(true));
         wait_until_ready(&rig);
         assert!(is_replying(&rig));
     }
-    let resets = rig.with(|stopped| stopped.resets().len());
+    let resets = rig.while_stopped(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the chip itself never restarted");
 }
 
 #[test]
 fn a_board_resumes_with_its_computer() {
     let rig = Rig::empty(BoardKind::OdriveV3);
-    rig.with(|stopped| stopped.usb().suspend(true));
+    rig.while_stopped(|stopped| stopped.usb().suspend(true));
     rig.run(500 * MILLISECOND);
-    rig.with(|stopped| stopped.usb().suspend(false));
+    rig.while_stopped(|stopped| stopped.usb().suspend(false));
     rig.run(100 * MILLISECOND);
     assert!(is_replying(&rig));
-    let log = rig.with(|stopped| stopped.usb().log().to_vec());
+    let log = rig.while_stopped(|stopped| stopped.usb().log().to_vec());
     assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
     assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
 }
@@ -58,32 +58,32 @@ fn a_board_resumes_with_its_computer() {
 fn usb_requests_unknown_to_serial_ports_are_stalled() {
     let rig = Rig::empty(BoardKind::HBridgeF405);
     for setup in [[0xC0, 0x55, 0, 0, 0, 0, 64, 0], [0x80, 6, 9, 9, 0, 0, 255, 0], [0x21, 0x77, 1, 0, 0, 0, 0, 0]] {
-        rig.with(move |stopped| stopped.usb().request(setup, &[]));
+        rig.while_stopped(move |stopped| stopped.usb().request(setup, &[]));
         rig.run(5 * MILLISECOND);
     }
-    let refused = rig.with(|stopped| stopped.usb().take_replies());
+    let refused = rig.while_stopped(|stopped| stopped.usb().take_replies());
     assert_eq!(refused.len(), 3);
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
     assert!(is_replying(&rig));
-    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0);
 }
 
 #[test]
 fn a_board_keeps_running_if_its_computer_stops_reading() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     let before = rig.tool.rows(Duration::from_millis(50)).expect("rows come").last().expect("a row").step;
-    rig.with(|stopped| stopped.usb().read_port(false));
+    rig.while_stopped(|stopped| stopped.usb().read_port(false));
     rig.run(SECOND);
-    rig.with(|stopped| stopped.usb().read_port(true));
+    rig.while_stopped(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     // 24,000 steps are 1.2 s at 20 kHz, so the control step did not wait.
-    assert!(status.step - before > 24_000, "{} steps", status.step - before);
+    assert!(status.step - before > 24_000, "{} steps while the computer did not read", status.step - before);
     assert_eq!(status.fault, None);
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
@@ -96,21 +96,21 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
 fn a_board_keeps_running_if_its_computer_reads_slowly() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     rig.tool.rows(Duration::from_millis(50)).expect("rows come");
     for _ in 0..40 {
-        rig.with(|stopped| stopped.usb().read_port(true));
+        rig.while_stopped(|stopped| stopped.usb().read_port(true));
         rig.run(60 * MICROSECOND);
-        rig.with(|stopped| stopped.usb().read_port(false));
+        rig.while_stopped(|stopped| stopped.usb().read_port(false));
         rig.run(90 * MILLISECOND);
-        assert_eq!(rig.with(|stopped| stopped.resets().len()), 0, "the watchdog bit");
+        assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0, "the watchdog reset the board");
     }
-    rig.with(|stopped| stopped.usb().read_port(true));
+    rig.while_stopped(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
 }
 
 /// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
@@ -118,18 +118,18 @@ fn a_board_keeps_running_if_its_computer_reads_slowly() {
 fn a_flood_of_requests_leaves_time_for_every_task() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     let frames = frames_sent_during(&mut rig, |rig| {
-        rig.tool.status().expect("it replies");
+        rig.tool.status().expect("the board replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
-    rig.shared.wire().send(&flood).expect("the port takes it");
+    rig.shared.wire().send(&flood).expect("the port accepts the bytes");
     rig.run(SECOND / 2);
-    let resets = rig.with(|stopped| stopped.resets().len());
-    assert_eq!(resets, 0, "the watchdog bit");
-    rig.with(|stopped| stopped.usb().take());
+    let resets = rig.while_stopped(|stopped| stopped.resets().len());
+    assert_eq!(resets, 0, "the watchdog reset the board");
+    rig.while_stopped(|stopped| stopped.usb().take());
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
-    let status = rig.tool.status().expect("it replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
@@ -139,7 +139,7 @@ fn a_flood_of_requests_leaves_time_for_every_task() {
 fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 200\n{WALL}"));
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.disarm().expect("the board disarms");
     let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.arm().expect("the board arms");
@@ -147,9 +147,9 @@ fn every_arming_makes_the_drivers_ready_again() {
     });
     let both = frames[frames.len() - 2..].concat();
     for pause in [0, 100 * MILLISECOND] {
-        rig.shared.wire().send(&both).expect("the port takes it");
+        rig.shared.wire().send(&both).expect("the port accepts the bytes");
         rig.run(40 * MILLISECOND + pause);
-        rig.with(|stopped| stopped.usb().take());
+        rig.while_stopped(|stopped| stopped.usb().take());
         rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
         let before = rig.now();
         rig.tool.arm().expect("the board arms");
@@ -157,7 +157,7 @@ fn every_arming_makes_the_drivers_ready_again() {
         assert!(took > 30 * MILLISECOND, "armed after {} us", took / MICROSECOND);
         rig.tool.disarm().expect("the board disarms");
     }
-    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0);
 }
 
 struct RecordingWire {
@@ -190,8 +190,7 @@ fn frames_sent_during(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of changed and
-/// unchanged requests.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of requests.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
     // The longest burst is longer than the port can transfer until the next burst.
@@ -241,14 +240,14 @@ fn a_minute_of_random_bytes_has_no_effect() {
     for nth in 0..6_000 {
         let burst = burst(&mut random, &requests);
         sent += burst.len();
-        rig.with(move |stopped| {
+        rig.while_stopped(move |stopped| {
             // The unsent bytes of the last burst are dropped, so a burst may also begin within a frame.
             stopped.usb().discard();
             stopped.usb().write(&burst);
         });
         rig.run(10 * MILLISECOND);
         let (replies, motor_inputs) =
-            rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().motor_inputs()));
+            rig.while_stopped(|stopped| (stopped.usb().take().len(), stopped.hardware().motor_inputs()));
         received += replies;
         assert_eq!(motor_inputs, [MotorInput::Floating; 3], "burst {nth}");
         // A changed scene may have the lowest rate, at which a burst still lasts two steps.
@@ -256,10 +255,10 @@ fn a_minute_of_random_bytes_has_no_effect() {
         assert_ne!(now, std::mem::replace(&mut steps, now), "no control step during burst {nth}");
     }
     assert!(sent > 1_000_000 && received > 10_000, "{sent} bytes sent, {received} received");
-    rig.with(|stopped| stopped.usb().discard());
+    rig.while_stopped(|stopped| stopped.usb().discard());
     rig.run(200 * MILLISECOND);
-    rig.with(|stopped| stopped.usb().take());
-    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    rig.while_stopped(|stopped| stopped.usb().take());
+    assert_eq!(rig.while_stopped(|stopped| stopped.resets().len()), 0);
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
     // A changed scene may contain numbers that are too large to compute with.
     let faults = rig.tool.faults().expect("the board replies");
@@ -269,7 +268,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     rig.tool.set_rules(&rules).expect("rules change");
     rig.load(WALL);
     rig.tool.clear().expect("a latched fault can be cleared");
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.disarm().expect("the board disarms");
 }
 
@@ -277,35 +276,36 @@ fn a_minute_of_random_bytes_has_no_effect() {
 fn a_board_survives_repeated_arming_and_replugging() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     for cycle in 0..24 {
         rig.tool.disarm().expect("the board disarms");
         rig.tool.arm().expect("the board arms");
         rig.run(cycle * 3 * MILLISECOND);
         if cycle % 6 == 5 {
-            rig.with(|stopped| stopped.usb().plug(false));
+            rig.while_stopped(|stopped| stopped.usb().plug(false));
             rig.run((1 + cycle) * 5 * MILLISECOND);
-            rig.with(|stopped| stopped.usb().plug(true));
+            rig.while_stopped(|stopped| stopped.usb().plug(true));
             wait_until_ready(&rig);
-            rig.with(|stopped| stopped.usb().take());
+            rig.while_stopped(|stopped| stopped.usb().take());
             rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
             // The rules ignore a silent host, so the wall is still rendered.
-            assert_eq!(rig.tool.status().expect("it replies").state, State::Armed, "cycle {cycle}");
+            assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed, "cycle {cycle}");
         }
     }
-    let status = rig.tool.status().expect("it replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
-    let (motor_inputs, resets) = rig.with(|stopped| (stopped.hardware().motor_inputs(), stopped.resets().len()));
+    let (motor_inputs, resets) =
+        rig.while_stopped(|stopped| (stopped.hardware().motor_inputs(), stopped.resets().len()));
     assert_eq!((motor_inputs, resets), ([MotorInput::Floating; 3], 0));
 }
 
 #[test]
 fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
-    rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[WallAt::facing([0.0, -1.0, 0.0])]);
+    rig.arm_near_walls("rate_hz = 1000\ncutoff_hz = 100\n", &[NearWall::with_normal([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");
     NoisyWire::follow(rig.shared.wire(), 60_000);
 }

@@ -8,7 +8,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::contact::{NearWall, scene};
 use haptic_emulator::hands::{firm_settings, hold, push as push_into, suspend_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
@@ -18,8 +18,7 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Returns a rig that is armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Without friction,
-/// only the wall holds the hand.
+/// Returns an armed rig without friction, `distance` (m) in front of a wall, and the wall's y coordinate (m).
 fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
@@ -28,7 +27,7 @@ fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
         "[[wall]]\npoint = [0.0, {height}]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 6.0\nfeed_forward = \"{feed_forward}\"\n"
     ));
     rig.with_simulated(suspend_device);
-    rig.ready();
+    rig.home_and_arm();
     (rig, height)
 }
 
@@ -82,19 +81,18 @@ fn a_wall_never_pulls() {
 }
 
 /// Returns the depth of the tip in each wall, m. The tip started at `start`.
-fn depths(walls: &[WallAt], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
+fn depths(walls: &[NearWall], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
     let depth =
-        |wall: &WallAt| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
+        |wall: &NearWall| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
     walls.iter().map(depth).collect()
 }
 
-/// Returns the depths every 10 ms while the same hand pushes the same device into the same walls, on the emulated chip
-/// and in the PC's simulation.
-fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<Vec<f64>>; 2] {
+/// Returns the depths every 10 ms while a hand pushes a device into walls, on the emulated chip and in the simulation.
+fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[NearWall], newtons: f64) -> [Vec<Vec<f64>>; 2] {
     const SAMPLES: usize = 120;
     let force: [f64; 3] = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
-    let scene = rig.arm_before("gravity_compensation = true\n", walls);
+    let scene = rig.arm_near_walls("gravity_compensation = true\n", walls);
     let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
     // A firm hand still holds the tip where it was when the walls were placed.
     rig.with_simulated(move |device| push_into(device, force, 0.3));
@@ -109,8 +107,9 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
     let file = rig.file.as_ref().expect("a device");
     let device = Options { friction: false, start: Some(q), absolute_encoders: true, ..Options::default() };
     let mut board = SimulatedBoard::new(&file.description, BoardOptions { device, ..BoardOptions::default() })
-        .expect("it can be simulated");
-    let scene = SceneFile::parse(&scene, "scene", file.spec().task).expect("a scene").scene().expect("it fits f32");
+        .expect("the device can be simulated");
+    let scene =
+        SceneFile::parse(&scene, "scene", file.spec().task).expect("a scene").scene().expect("the scene fits f32");
     board.load(&file.name, &file.description, Some(scene)).expect("loaded");
     hold(board.device_mut());
     let shared = SharedBoard::new(board);
@@ -127,7 +126,7 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
 }
 
 /// Checks that the chip's depths agree with the PC's depths within `share` of the largest depth.
-fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, share: f64) {
+fn check_depths(kind: BoardKind, name: &str, walls: &[NearWall], newtons: f64, share: f64) {
     let [chip, pc] = depths_when_pushed(kind, name, walls, newtons);
     for wall in 0..walls.len() {
         let deepest = pc.iter().map(|sample| sample[wall]).fold(0.0, f64::max);
@@ -142,20 +141,21 @@ fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, sha
 #[test]
 fn a_wall_before_three_joints_has_the_simulated_depth() {
     for feed_forward in ["off", "full"] {
-        let wall = WallAt { feed_forward, damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
+        let wall = NearWall { feed_forward, damping: 3.0, ..NearWall::with_normal([0.0, -1.0, 0.0]) };
         check_depths(BoardKind::HBridgeF405, "phantom-premium-1.5", &[wall], 0.8, 0.05);
     }
 }
 
 #[test]
 fn a_corner_with_feed_forward_has_the_simulated_depth() {
-    let walls = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| WallAt { damping: 3.0, ..WallAt::facing(normal) });
+    let walls =
+        [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| NearWall { damping: 3.0, ..NearWall::with_normal(normal) });
     check_depths(BoardKind::OdriveV3, "pantograph-mk2", &walls, 0.8, 0.08);
 }
 
 #[test]
 fn gains_changed_in_contact_change_the_torque_in_proportion() {
-    let wall = WallAt { feed_forward: "full", ..WallAt::facing([0.0, -1.0, 0.0]) };
+    let wall = NearWall { feed_forward: "full", ..NearWall::with_normal([0.0, -1.0, 0.0]) };
     let mut rig = Rig::in_contact(BoardKind::OdriveV3, "pantograph-mk2", "", &[wall], 0.8);
     let fields =
         Fields(Field::Torque.bit() | Field::Distance.bit() | Field::NormalVelocity.bit() | Field::WallForce.bit());
@@ -179,7 +179,7 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
         for joint in 0..2 {
             let explained = a[joint] * after / before;
             let error = (b[joint] - explained).abs();
-            assert!(error < 0.02 * b[joint].abs() + 2e-5, "step {}: {a:?} then {b:?}", pair[1].step);
+            assert!(error < 0.02 * b[joint].abs() + 2e-5, "torques at step {}: {a:?} then {b:?}", pair[1].step);
         }
     }
     assert_eq!(steps, 3, "the force does not show three changes of the gains");
@@ -190,7 +190,8 @@ fn the_chips_feed_forward_equals_the_analysis() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
         let normal = [-0.6, -0.8, 0.0];
         // Without gravity compensation the hand also carries the weight.
-        let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[WallAt::facing(normal)], 1.6);
+        let mut rig =
+            Rig::in_contact(kind, name, "gravity_compensation = false\n", &[NearWall::with_normal(normal)], 1.6);
         let file = rig.file.clone().expect("a device");
         let (joints, task) = (file.spec().joints, file.spec().task);
         rig.tool
@@ -211,13 +212,13 @@ fn the_chips_feed_forward_equals_the_analysis() {
             for joint in 0..joints {
                 let error = (torque[joint] / force - expected[joint]).abs();
                 println!(
-                    "{name}, {feed_forward:?}, joint {joint}: {} N m/N, {} expected",
+                    "{name}, {feed_forward:?}, joint {joint}: torque per force {} N m/N, {} expected",
                     torque[joint] / force,
                     expected[joint]
                 );
                 assert!(
                     force > 0.2 && error < 0.02 * difference,
-                    "{name}, {feed_forward:?}, joint {joint}: {row:?}, {expected:?}"
+                    "{name}, {feed_forward:?}, joint {joint}: torques {row:?}, expected {expected:?}"
                 );
             }
         }
@@ -230,19 +231,18 @@ struct Sample {
     /// Depth of the tip, m.
     depth: f64,
     /// Wall force before the limits, from telemetry, N.
-    unlimited: f64,
+    unlimited_force: f64,
     /// Wall force after the limits, from telemetry, N.
-    rendered: f64,
+    rendered_force: f64,
     /// Force of the device on the hand along the normal, N.
-    along: f64,
+    normal_force: f64,
     /// Force of the device on the hand perpendicular to the normal, N.
-    across: f64,
+    sideways_force: f64,
     /// Smallest and largest value of the field `saturated`, for each joint.
     saturated: Vec<(f64, f64)>,
 }
 
-/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m. The motors are limited to
-/// `torque` (N m).
+/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque`.
 fn measure_pressed(
     kind: BoardKind,
     name: &str,
@@ -259,7 +259,7 @@ fn measure_pressed(
     let limits = Limits { torque: [torque; 3], ..rules.limits };
     rig.tool.set_rules(&Rules { limits, ..rules }).expect("the motors are off");
     let start = rig.with_simulated(|device| device.tip());
-    let wall = WallAt { stiffness: 2000.0, gap: 0.001, damping: 0.0, feed_forward, ..WallAt::facing(normal) };
+    let wall = NearWall { stiffness: 2000.0, gap: 0.001, damping: 0.0, feed_forward, ..NearWall::with_normal(normal) };
     let task = rig.file.as_ref().expect("a device").spec().task;
     rig.set_scene(&scene("gravity_compensation = true\n", start, task, &[wall]));
     rig.arm();
@@ -279,8 +279,8 @@ fn measure_pressed(
         while rows < ROWS {
             for row in rig.tool.rows(Duration::from_millis(4)).expect("rows come") {
                 rows += 1;
-                sample.unlimited += row.get(Field::WallForce)[0];
-                sample.rendered += row.get(Field::RenderedForce)[0];
+                sample.unlimited_force += row.get(Field::WallForce)[0];
+                sample.rendered_force += row.get(Field::RenderedForce)[0];
                 for (range, value) in sample.saturated.iter_mut().zip(row.get(Field::Saturated)) {
                     *range = (range.0.min(*value), range.1.max(*value));
                 }
@@ -290,11 +290,12 @@ fn measure_pressed(
             sample.depth += depths(&[wall], start, tip)[0];
             force = std::array::from_fn(|i| force[i] - hand[i]);
         }
-        sample.unlimited /= rows as f64;
-        sample.rendered /= rows as f64;
+        sample.unlimited_force /= rows as f64;
+        sample.rendered_force /= rows as f64;
         sample.depth /= times;
-        sample.along = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
-        sample.across = (0..3).map(|i| (force[i] / times - sample.along * normal[i]).powi(2)).sum::<f64>().sqrt();
+        sample.normal_force = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
+        sample.sideways_force =
+            (0..3).map(|i| (force[i] / times - sample.normal_force * normal[i]).powi(2)).sum::<f64>().sqrt();
         samples.push(sample);
     }
     assert_eq!(rig.tool.status().expect("the board replies").fault, None, "{name}");
@@ -310,22 +311,25 @@ fn a_wall_force_above_the_motors_limits_keeps_its_direction() {
     ] {
         let samples = measure_pressed(kind, name, normal, feed_forward, torque);
         let [first, .., last] = &samples[..] else { panic!("many samples") };
-        assert!(first.unlimited == 0.0 && last.rendered < 0.35 * last.unlimited, "{name}: {last:?}");
+        assert!(first.unlimited_force == 0.0 && last.rendered_force < 0.35 * last.unlimited_force, "{name}: {last:?}");
         // The tolerance covers current sensors, encoder steps and the hand's own motion.
-        let uncertain = 0.03 * last.rendered;
+        let uncertain = 0.03 * last.rendered_force;
         for (index, sample) in samples.iter().enumerate() {
             println!("{name}: {sample:?}");
-            assert!((sample.along - sample.rendered).abs() < uncertain, "{name}: reported force differs: {sample:?}");
-            assert!(sample.across < uncertain, "{name}: a force across the normal: {sample:?}");
-            let before = samples[index.saturating_sub(1)].along;
-            assert!(sample.along > before - 0.3 * uncertain, "{name}: {before} N, then {sample:?}");
+            assert!(
+                (sample.normal_force - sample.rendered_force).abs() < uncertain,
+                "{name}: reported force differs: {sample:?}"
+            );
+            assert!(sample.sideways_force < uncertain, "{name}: a force across the normal: {sample:?}");
+            let before = samples[index.saturating_sub(1)].normal_force;
+            assert!(sample.normal_force > before - 0.3 * uncertain, "{name}: a fall from {before} N: {sample:?}");
             let all_are = |value: f64| sample.saturated.iter().all(|seen| *seen == (value, value));
             assert!(
-                sample.rendered < sample.unlimited * 0.999 || all_are(0.0),
+                sample.rendered_force < sample.unlimited_force * 0.999 || all_are(0.0),
                 "{name}: saturated without a cut: {sample:?}"
             );
             assert!(
-                sample.rendered >= sample.unlimited * 0.75 || all_are(1.0),
+                sample.rendered_force >= sample.unlimited_force * 0.75 || all_are(1.0),
                 "{name}: cut without saturation: {sample:?}"
             );
         }

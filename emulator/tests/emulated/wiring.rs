@@ -33,12 +33,12 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        let axes = Wiring::of(kind).encoders.len();
+        let axes = Wiring::of_board(kind).encoders.len();
         let mut expected = vec![0.0; axes];
-        rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
+        rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
             let counts: [i32; 3] = std::array::from_fn(|i| if i <= axis { 137 - 200 * (i as i32 % 2) } else { 0 });
-            rig.with(move |stopped| {
+            rig.while_stopped(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { counts, ..Dummy::default() });
             });
             expected[axis] = f64::from(moved);
@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        for axis in 0..Wiring::of(kind).encoders.len() {
+        for axis in 0..Wiring::of_board(kind).encoders.len() {
             let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
@@ -63,7 +63,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                     let mut dummy = Dummy::default();
                     dummy.counts[axis] = count;
                     dummy.index[axis] = index;
-                    rig.with(move |stopped| stopped.hardware().plant = Box::new(dummy));
+                    rig.while_stopped(move |stopped| stopped.hardware().plant = Box::new(dummy));
                     rig.run(MILLISECOND);
                 }
                 let record = rig.tool.status().expect("it replies").fault;
@@ -73,7 +73,7 @@ fn each_index_pulse_reaches_its_own_axis() {
             assert_eq!(pass(0), None, "{place}: the first index pulse caused a fault");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
-            rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
+            rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
             // The device must be at rest to be homed.
             rig.run(100 * MILLISECOND);
         }
@@ -84,14 +84,14 @@ fn each_index_pulse_reaches_its_own_axis() {
 fn the_bus_voltage_is_exact_within_a_converter_step() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::empty(kind);
-        let step = 1e-3 * f64::from(Wiring::of(kind).supply_mv) / 4096.0 * Wiring::of(kind).bus.1;
+        let step = 1e-3 * f64::from(Wiring::of_board(kind).supply_mv) / 4096.0 * Wiring::of_board(kind).bus.1;
         for volts in [12.0, 24.0, 27.5] {
-            rig.with(move |stopped| {
+            rig.while_stopped(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
             let shown = f64::from(rig.tool.status().expect("it replies").bus_voltage);
-            assert!((shown - volts).abs() <= 1.5 * step, "{}: {shown} V for {volts} V", kind.name());
+            assert!((shown - volts).abs() <= 1.5 * step, "{}: the board reports {shown} V for {volts} V", kind.name());
         }
     }
 }
@@ -102,7 +102,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let drawing = read_to_string(folder.join("drawings/h-bridge-f407-disc1.svg")).expect("a drawing");
     for kind in BoardKind::ALL {
-        let wiring = Wiring::of(kind);
+        let wiring = Wiring::of_board(kind);
         let page = read_to_string(folder.join(format!("wiring-{}.md", wiring.name))).expect("a page");
         let table = page.lines().filter(|line| line.starts_with('|'));
         let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();

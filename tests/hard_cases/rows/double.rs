@@ -1,7 +1,7 @@
 //! Both kinds of singularity at once: the elbow is almost stretched or folded, and the rods are almost in one line.
 
 use super::routes::{Errors, routes};
-use super::shipped;
+use super::shipped_device;
 use super::singular::{Random, at_hand_speed, cast, wide_five_bar};
 use super::{Exact, ExactMath};
 use haptic_bridge::control::compiled::BoardMath;
@@ -12,9 +12,9 @@ use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::SVector;
 
 /// Both sines, as multiples of the sines at which the feed-forward begins to fade.
-pub const SHARES: [f64; 3] = [1.0, 0.4, 0.1];
-const POSES: usize = 30;
-const NORMALS: usize = 5;
+pub const SINE_SHARES: [f64; 3] = [1.0, 0.4, 0.1];
+const POSES_PER_ROW: usize = 30;
+const NORMALS_PER_POSE: usize = 5;
 
 #[derive(Clone, Debug)]
 pub struct Row {
@@ -67,13 +67,13 @@ where
     let mut random = Random(17);
     let mut row = Row { device, share, poses: 0, board: Errors::default(), double: Errors::default() };
     for _ in 0..2_000 {
-        if row.poses == POSES {
+        if row.poses == POSES_PER_ROW {
             break;
         }
         let Some(q) = pose_near(double, targets, &mut random) else { continue };
         row.poses += 1;
         let q: SVector<f32, N> = cast(&q);
-        for _ in 0..NORMALS {
+        for _ in 0..NORMALS_PER_POSE {
             let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
@@ -85,7 +85,7 @@ where
 }
 
 fn rows(name: &'static str, device: &Description) -> Vec<Row> {
-    SHARES
+    SINE_SHARES
         .map(|share| {
             let targets = [FULL_REGULARITY, FULL_REGULARITY * PARALLEL_REGULARITY].map(|sine| sine * share);
             in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, share, targets))
@@ -94,7 +94,7 @@ fn rows(name: &'static str, device: &Description) -> Vec<Row> {
 }
 
 /// Returns the rows of every mechanism with a closed loop.
-pub fn all() -> Vec<Row> {
-    let turret = shipped("fictive-five-bar-turret");
+pub fn all_rows() -> Vec<Row> {
+    let turret = shipped_device("fictive-five-bar-turret");
     rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::routes::{Errors, Routes, routes};
 use super::singular::{Random, cast};
-use super::{DEVICES, Exact, ExactMath, shipped};
+use super::{DEVICES, Exact, ExactMath, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
@@ -10,9 +10,9 @@ use haptic_bridge::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
 /// Poses per row. Every pose has its own normals.
-const POSES: usize = 40;
+const POSES_PER_ROW: usize = 40;
 /// Random normals per pose. Only the normal with the largest Wrr/Weff is measured.
-const NORMALS: usize = 20;
+const NORMALS_PER_POSE: usize = 20;
 
 #[derive(Clone, Debug)]
 pub struct Row {
@@ -33,11 +33,11 @@ where
 {
     let mut random = Random(11);
     let mut row = Row { device, case, ratio: 0.0, board: Errors::default(), double: Errors::default() };
-    for _ in 0..POSES {
+    for _ in 0..POSES_PER_ROW {
         let q: SVector<f32, N> = cast(&random.regular_pose(double));
         let qd: SVector<f32, N> = cast(&random.vector::<N>(1.0));
         let mut worst: Option<(f64, SVector<f32, N>, Routes<Exact, N>)> = None;
-        for _ in 0..NORMALS {
+        for _ in 0..NORMALS_PER_POSE {
             let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             let ratio = (exact.w_rr_kernel / exact.w_eff_joint).to_f64();
@@ -89,7 +89,8 @@ fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
-    // The mass of a paddle is lumped into its joint, so it is the inertia over the square of the length.
+    // The mass of a paddle is lumped into its joint, so the equivalent mass is the inertia over the square of the
+    // length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
     scale_device(device, length / longest, mass / heaviest)
 }
@@ -97,10 +98,10 @@ fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
 /// Target ratios Wrr/Weff, reached with a heavier joint 0.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     let mut rows = Vec::new();
     for (name, file) in DEVICES {
-        let device = shipped(file);
+        let device = shipped_device(file);
         for (length, mass) in [(1e-3, 1e-6), (1e-3, 1e2), (1e1, 1e-6), (1e1, 1e2)] {
             let unit = if length < 1.0 { "1 mm" } else { "10 m" };
             let weight = if mass < 1.0 { "1 mg" } else { "100 kg" };

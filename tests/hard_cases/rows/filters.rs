@@ -86,7 +86,7 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     worst.map(|error| error / largest)
 }
 
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     [1e-4, 3e-4, 1e-3, 1e-2, 0.025, 0.1, 0.3, 0.45]
         .into_iter()
         .map(|ratio| {

@@ -2,7 +2,7 @@
 //! a reference, which is the library's own code in the `Exact` numbers of the including module.
 #![allow(dead_code, reason = "only the tables use all of them")]
 
-use super::{Exact, ExactMath, shipped};
+use super::{Exact, ExactMath, shipped_device};
 use std::sync::LazyLock;
 
 /// Evaluates an expression with the mechanism of a device in f64, in f32 and in the reference's numbers.
@@ -33,10 +33,10 @@ const DEVICES: [(&str, &str); 5] = [
     ("serial-3r", "serial-3r"),
 ];
 
-pub static SINGULAR: LazyLock<Vec<singular::Row>> = LazyLock::new(singular::all);
-pub static EXTREMES: LazyLock<Vec<extremes::Row>> = LazyLock::new(extremes::all);
-pub static FILTERS: LazyLock<Vec<filters::Row>> = LazyLock::new(filters::all);
-pub static STEPS: LazyLock<Vec<steps::Row>> = LazyLock::new(steps::all);
-pub static SEVERAL: LazyLock<Vec<several::Row>> = LazyLock::new(several::all);
-pub static TURNS: LazyLock<Vec<turns::Row>> = LazyLock::new(turns::all);
-pub static DOUBLE: LazyLock<Vec<double::Row>> = LazyLock::new(double::all);
+pub static SINGULAR_ROWS: LazyLock<Vec<singular::Row>> = LazyLock::new(singular::all_rows);
+pub static EXTREME_ROWS: LazyLock<Vec<extremes::Row>> = LazyLock::new(extremes::all_rows);
+pub static FILTER_ROWS: LazyLock<Vec<filters::Row>> = LazyLock::new(filters::all_rows);
+pub static STEP_ROWS: LazyLock<Vec<steps::Row>> = LazyLock::new(steps::all_rows);
+pub static TWO_WALL_ROWS: LazyLock<Vec<several::Row>> = LazyLock::new(several::all_rows);
+pub static TURN_ROWS: LazyLock<Vec<turns::Row>> = LazyLock::new(turns::all_rows);
+pub static DOUBLE_ROWS: LazyLock<Vec<double::Row>> = LazyLock::new(double::all_rows);

@@ -55,8 +55,7 @@ pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T,
     inverse
 }
 
-/// Computes every route at the pose `q` for the unit normal `n`. Only `torque_moving` depends on the joint velocities
-/// `qd` (rad/s).
+/// Computes every route at the pose `q` for the unit normal `n`. Only `torque_moving` depends on the velocities `qd`.
 pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
@@ -125,7 +124,7 @@ errors! {
 }
 errors! {
     "Errors of the analysis as shares of the largest entry of each quantity."
-    WholeErrors: w w_eff z f_a torque
+    QuantityErrors: w w_eff z f_a torque
 }
 
 impl Errors {
@@ -146,7 +145,7 @@ impl Errors {
     }
 }
 
-impl WholeErrors {
+impl QuantityErrors {
     pub fn new<A: Real, B: Real, const N: usize>(found: &Inertia<A, N>, exact: &Inertia<B, N>) -> Self {
         Self {
             w: relative_error(&found.w, &exact.w),
@@ -160,7 +159,7 @@ impl WholeErrors {
 
 /// Computes all quantities of equation (4) like the analysis, for one wall with the unit normal `n` and a force of 1 N,
 /// at the pose `q` and the joint velocities `qd` (rad/s).
-pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+pub fn all_quantities<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
     qd: &SVector<T, N>,

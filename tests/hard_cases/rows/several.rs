@@ -5,7 +5,7 @@
 use super::routes::inverse;
 use super::singular::{Random, cast};
 use super::steps::{controller, counts, pad_to_three, scene, with_encoders};
-use super::{DEVICES, Exact, ExactMath, shipped};
+use super::{DEVICES, Exact, ExactMath, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::Description;
@@ -17,7 +17,7 @@ use nalgebra::SVector;
 pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
 /// Ratios of the first wall's stiffness to the second wall's stiffness.
 pub const RATIOS: [f64; 3] = [1.0, 1e2, 1e4];
-const POSES: usize = 40;
+const POSES_PER_ROW: usize = 40;
 
 #[derive(Clone, Debug)]
 pub struct Row {
@@ -87,7 +87,7 @@ where
             let mut random = Random(11);
             let mut row = Row { device: name, angle, torque: [0.0; 3], smallest_shaping: f64::INFINITY };
             let mut poses = 0;
-            while poses < POSES {
+            while poses < POSES_PER_ROW {
                 let q: SVector<f64, N> = random.vector(3.1);
                 let pose = double.pose::<Libm>(&q);
                 let r = double.regularity(&pose);
@@ -100,8 +100,7 @@ where
                 n /= n.norm();
                 t -= n * n.dot(&t);
                 t /= t.norm();
-                // The surfaces are 1 m away and the stiffness is at most 1 N/m, so that the errors come from the law
-                // and not from the penetration.
+                // The surfaces are 1 m away and the stiffness is at most 1 N/m, so that penetrations cause no errors.
                 let normals = [n, n * angle.cos() + t * angle.sin()].map(|n| cast::<f64, f32, N>(&n));
                 let tip = double.tip(&pose);
                 for (index, ratio) in RATIOS.into_iter().enumerate() {
@@ -144,12 +143,12 @@ where
 }
 
 /// Returns the rows of every mechanism with more than one direction.
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     DEVICES
         .into_iter()
         .skip(1)
         .flat_map(|(name, file)| {
-            let device = with_encoders(&shipped(file));
+            let device = with_encoders(&shipped_device(file));
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()

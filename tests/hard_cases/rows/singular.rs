@@ -1,8 +1,7 @@
-//! Poses with a chosen condition number of J near each kind of singularity, and the errors of the routes at these
-//! poses.
+//! Errors of the routes at poses with a chosen condition number of J near each kind of singularity.
 
-use super::routes::{Errors, WholeErrors, routes, whole};
-use super::shipped;
+use super::routes::{Errors, QuantityErrors, all_quantities, routes};
+use super::shipped_device;
 use super::{Exact, ExactMath};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Libm, Real};
@@ -30,8 +29,8 @@ pub enum Target {
 }
 
 impl Singularity {
-    /// Returns two sines: the feed-forward begins to fade at the first and is off at the second.
-    pub fn fade(self) -> [f64; 2] {
+    /// Returns the sines at which the feed-forward begins to fade and is off.
+    pub fn fade_sines(self) -> [f64; 2] {
         let scale = if self == Self::Rods { PARALLEL_REGULARITY } else { 1.0 };
         [FULL_REGULARITY, NO_REGULARITY].map(|sine| sine * scale)
     }
@@ -39,15 +38,15 @@ impl Singularity {
     /// Returns the targets of the table's rows: the two sines of the fade, then growing condition numbers.
     fn targets(self) -> Vec<Target> {
         let conditions = [1e1, 1e2, 1e3, 1e4, 1e5].map(Target::Condition);
-        self.fade().map(Target::Sine).into_iter().chain(conditions).collect()
+        self.fade_sines().map(Target::Sine).into_iter().chain(conditions).collect()
     }
 }
 
 /// Maximum number of poses per row.
-const POSES: usize = 60;
+const MAX_POSES: usize = 60;
 /// Maximum number of random paths per row.
-const TRIES: usize = 4_000;
-const NORMALS: usize = 5;
+const MAX_PATHS: usize = 4_000;
+const NORMALS_PER_POSE: usize = 5;
 
 #[derive(Clone, Debug)]
 pub struct Row {
@@ -63,14 +62,14 @@ pub struct Row {
     /// Largest difference between routes in the reference's numbers.
     pub reference: f64,
     /// Errors of all quantities of equation (4) in f64.
-    pub whole: WholeErrors,
+    pub quantities: QuantityErrors,
 }
 
 /// A reproducible stream of random numbers (SplitMix64 by Steele, Lea and Flood).
 pub struct Random(pub u64);
 
 impl Random {
-    pub fn within(&mut self, low: f64, high: f64) -> f64 {
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -79,7 +78,7 @@ impl Random {
     }
 
     pub fn vector<const N: usize>(&mut self, bound: f64) -> SVector<f64, N> {
-        SVector::from_fn(|_, _| self.within(-bound, bound))
+        SVector::from_fn(|_, _| self.uniform(-bound, bound))
     }
 
     /// Draws a task-space vector with entries from -1 to 1.
@@ -99,8 +98,7 @@ impl Random {
     }
 }
 
-/// Computes the ratio of J's largest to its smallest singular value. A row for φ is multiplied by the length `scale`,
-/// m.
+/// Computes the ratio of J's largest to its smallest singular value. A row for φ is multiplied by `scale` (m).
 fn jacobian_condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
     let jacobian = m.jacobian(&m.pose::<Libm>(q));
     let unit = |row: usize| if row < M::SPEC.task { 1.0 } else { scale };
@@ -120,7 +118,7 @@ fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, ta
 }
 
 /// Returns a number whose sign changes at the singularity.
-fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singularity: Singularity) -> f64 {
+fn signed_gap<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singularity: Singularity) -> f64 {
     let mut q = *q;
     let turret = M::SPEC.task == 3;
     if turret {
@@ -164,9 +162,10 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     if serial.min(parallel) < 0.2 || nearness(m, &start, target, scale) > 0.7 {
         return None;
     }
-    let before = side(m, &start, singularity);
+    let before = signed_gap(m, &start, singularity);
     let step = 0.01;
-    let crossing = (1..200).map(|k| step * f64::from(k)).find(|t| side(m, &at(*t), singularity) * before <= 0.0)?;
+    let crossing =
+        (1..200).map(|k| step * f64::from(k)).find(|t| signed_gap(m, &at(*t), singularity) * before <= 0.0)?;
     let bisect = |mut low: f64, mut high: f64, beyond: &dyn Fn(f64) -> bool| {
         for _ in 0..80 {
             let middle = 0.5 * (low + high);
@@ -174,12 +173,12 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
         }
         low
     };
-    let singular = bisect(crossing - step, crossing, &|t| side(m, &at(t), singularity) * before <= 0.0);
+    let singular = bisect(crossing - step, crossing, &|t| signed_gap(m, &at(t), singularity) * before <= 0.0);
     let pose = bisect(0.0, singular, &|t| nearness(m, &at(t), target, scale) > 1.0);
     // The pose must be far from all other singularities.
     let r = m.regularity(&m.pose::<Libm>(&at(pose)));
     let clear = |other: Singularity| {
-        other == singularity || side(m, &at(pose), other).abs() > 0.2 * side(m, &start, other).abs()
+        other == singularity || signed_gap(m, &at(pose), other).abs() > 0.2 * signed_gap(m, &start, other).abs()
     };
     let alone = match singularity {
         Singularity::Rods => r.serial > 0.2,
@@ -229,10 +228,10 @@ where
         board: Errors::default(),
         double: Errors::default(),
         reference: 0.0,
-        whole: WholeErrors::default(),
+        quantities: QuantityErrors::default(),
     };
-    for _ in 0..TRIES {
-        if row.poses == POSES {
+    for _ in 0..MAX_PATHS {
+        if row.poses == MAX_POSES {
             break;
         }
         let Some(q) = pose_near(double, singularity, target, scale, &mut random) else { continue };
@@ -243,15 +242,15 @@ where
         row.poses += 1;
         let r = double.regularity(&double.pose::<Libm>(&cast(&q)));
         row.regularity = row.regularity.min(r.serial).min(r.parallel);
-        for _ in 0..NORMALS {
+        for _ in 0..NORMALS_PER_POSE {
             let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
-            let found = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            let exact_whole = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&WholeErrors::new(&found, &exact_whole));
+            let found = all_quantities::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
+            let exact_whole = all_quantities::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            row.quantities.grow(&QuantityErrors::new(&found, &exact_whole));
             row.reference = Errors::new(&exact, &exact).all().fold(row.reference, f64::max);
         }
     }
@@ -269,21 +268,21 @@ pub fn rows(name: &'static str, device: &Description, singularity: Singularity) 
 
 /// Returns a five-bar whose rods can stretch into one line, unlike those of the shipped devices.
 pub fn wide_five_bar() -> Description {
-    let mut device = shipped("coupled-five-bar");
+    let mut device = shipped_device("coupled-five-bar");
     device.geometry[0] = 0.1;
     device
 }
 
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     [
-        ("five-bar (haply-2diy)", shipped("haply-2diy"), Singularity::Elbow),
+        ("five-bar (haply-2diy)", shipped_device("haply-2diy"), Singularity::Elbow),
         ("five-bar (wide base)", wide_five_bar(), Singularity::Rods),
-        ("five-bar-turret", shipped("fictive-five-bar-turret"), Singularity::Elbow),
-        ("five-bar-turret", shipped("fictive-five-bar-turret"), Singularity::Axis),
-        ("five-bar-turret", shipped("fictive-five-bar-turret"), Singularity::Rods),
-        ("parallelogram (Phantom)", shipped("phantom-premium-1.5"), Singularity::Elbow),
-        ("parallelogram (Phantom)", shipped("phantom-premium-1.5"), Singularity::Axis),
-        ("serial-3r", shipped("serial-3r"), Singularity::Elbow),
+        ("five-bar-turret", shipped_device("fictive-five-bar-turret"), Singularity::Elbow),
+        ("five-bar-turret", shipped_device("fictive-five-bar-turret"), Singularity::Axis),
+        ("five-bar-turret", shipped_device("fictive-five-bar-turret"), Singularity::Rods),
+        ("parallelogram (Phantom)", shipped_device("phantom-premium-1.5"), Singularity::Elbow),
+        ("parallelogram (Phantom)", shipped_device("phantom-premium-1.5"), Singularity::Axis),
+        ("serial-3r", shipped_device("serial-3r"), Singularity::Elbow),
     ]
     .into_iter()
     .flat_map(|(name, device, singularity)| rows(name, &device, singularity))

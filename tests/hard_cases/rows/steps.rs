@@ -1,7 +1,7 @@
 //! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into this wall.
 
 use super::singular::Random;
-use super::{DEVICES, shipped};
+use super::{DEVICES, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
@@ -34,8 +34,7 @@ const HIT_SPEED: f64 = 10.0;
 /// Counts per turn of encoders that resolve penetrations in micrometres.
 const COUNTS_PER_TURN: f64 = 1_048_576.0;
 
-/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. The home is removed so that count 0 is the
-/// angle 0.
+/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. Without a home, count 0 is angle 0.
 pub fn with_encoders(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
@@ -174,10 +173,10 @@ where
     row
 }
 
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     DEVICES
         .map(|(name, file)| {
-            let device = with_encoders(&shipped(file));
+            let device = with_encoders(&shipped_device(file));
             let mechanism = AnyMechanism::<f64>::new(&device).expect("a sound device");
             haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device))
         })

@@ -1,7 +1,7 @@
 //! Encoders with fractional counts per turn, over thousands of turns. The tip position of the f32 step is compared with
-//! the tip at the angles n 2π/C, which only the sine function reduces to one turn.
+//! the tip at the angles n 2π/C, which are not reduced to one turn.
 
-use super::shipped;
+use super::shipped_device;
 use super::singular::{Random, cast};
 use super::steps::{controller, pad_to_three, scene, with_encoders};
 use super::{Exact, ExactMath};
@@ -72,11 +72,11 @@ where
         .to_vec()
 }
 
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     [("five-bar", "haply-2diy"), ("serial-3r", "serial-3r")]
         .into_iter()
         .flat_map(|(name, file)| {
-            let device = shipped(file);
+            let device = shipped_device(file);
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()

@@ -1,7 +1,7 @@
-//! Random devices, similar to the shipped ones: some sound, some with a wrong file, wrong wires or wrong sensors.
+//! Random devices, similar to the shipped ones: some correct, some with a wrong file, wrong wires or wrong sensors.
 
 use super::forces::pick_one;
-use super::injected::{CheckMotion, measure_check_of, scale_motor_constants};
+use super::injected::{CheckMotion, measure_any_check, scale_motor_constants};
 use super::{all_shipped_devices, shipped_device};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
@@ -16,7 +16,7 @@ fn log_uniform(draw: &mut Random, low: f64, high: f64) -> f64 {
 }
 
 /// Returns a shipped device with random size, motors, encoders, friction, gears, cables and modes.
-pub fn sound_device(draw: &mut Random) -> (String, Description) {
+pub fn correct_device(draw: &mut Random) -> (String, Description) {
     let files = all_shipped_devices();
     let file = &files[(draw.uniform() * files.len() as f64) as usize];
     let (mut device, joints) = (file.description, file.spec().joints);
@@ -161,17 +161,17 @@ impl std::fmt::Display for CheckResult {
 }
 
 /// Checks the polarity of a random device whose file is correct.
-pub fn check_sound(seed: u64) -> CheckResult {
+pub fn check_correct_device(seed: u64) -> CheckResult {
     let mut draw = Random::new(seed);
-    let (device, description) = sound_device(&mut draw);
+    let (device, description) = correct_device(&mut draw);
     check(seed, device, &description, Mismatch::Nothing)
 }
 
 /// Checks the polarity of a device that differs from its file. Half of the seeds have a shipped device.
-pub fn check_wrong(seed: u64) -> CheckResult {
+pub fn check_mismatched_device(seed: u64) -> CheckResult {
     let mut draw = Random::new(seed);
     let mismatch = Mismatch::random(&mut draw);
-    let (mut device, mut description) = sound_device(&mut draw);
+    let (mut device, mut description) = correct_device(&mut draw);
     if draw.uniform() < 0.5 {
         description = shipped_device(&device).description;
     }
@@ -183,6 +183,6 @@ pub fn check_wrong(seed: u64) -> CheckResult {
 }
 
 fn check(seed: u64, device: String, description: &Description, mismatch: Mismatch) -> CheckResult {
-    let (result, motion) = measure_check_of(&device, description, |wired, broken| mismatch.inject(wired, broken));
+    let (result, motion) = measure_any_check(&device, description, |wired, broken| mismatch.inject(wired, broken));
     CheckResult { seed, device, mismatch, result, motion }
 }

@@ -83,7 +83,7 @@ fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
         board.run(0.6);
     }
     let mut board = shared.lock();
-    let (mut push, mut most) = (Push::of(&file.description, &board), 0.0_f64);
+    let (mut push, mut most) = (MotorTipForce::new(&file.description, &board), 0.0_f64);
     while board.time() < 1.4 {
         board.carrier();
         most = most.max(push.add_period(&board).unwrap_or(0.0));
@@ -93,8 +93,8 @@ fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
 }
 
 /// Force of the motors at the tip of a simulated device, without the part that carries the weight, as a mean over 2 ms.
-/// Computed from the true currents, angles and torque constants, not from those that the board measures.
-pub struct Push {
+/// The force is computed from the true currents, angles and torque constants, not from the board's measurements.
+pub struct MotorTipForce {
     truth: Description,
     mechanism: AnyMechanism<f32>,
     window: VecDeque<f64>,
@@ -102,9 +102,9 @@ pub struct Push {
     length: usize,
 }
 
-impl Push {
+impl MotorTipForce {
     /// Starts a measurement on a board whose true device is `truth`.
-    pub fn of(truth: &Description, board: &SimulatedBoard) -> Self {
+    pub fn new(truth: &Description, board: &SimulatedBoard) -> Self {
         let mechanism = AnyMechanism::new(truth).unwrap();
         let length = (2e-3 * board.carrier_hz()) as usize;
         Self { truth: *truth, mechanism, window: VecDeque::new(), sum: 0.0, length }

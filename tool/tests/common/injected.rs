@@ -1,6 +1,6 @@
 //! Injected errors: wrong device files, wires and sensors, the board's reactions, and the effects on a hand.
 
-use super::forces::Push;
+use super::forces::MotorTipForce;
 use super::plane_wall;
 use super::prelude::*;
 use haptic_bridge::model::description::Joint;
@@ -9,8 +9,8 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// Time at which an injected error begins, and the function that injects the error.
-pub enum When {
+/// Function that injects an error, and the time at which the error begins.
+pub enum Injection {
     /// The error exists from power-on. The function changes the true device and wires, not the board's device file.
     Always(fn(&mut Description, &mut BoardFaults)),
     /// The error begins while a hand presses against a wall.
@@ -20,15 +20,15 @@ pub enum When {
 /// An injected error, as the tables of docs/results/lies.csv name it.
 pub struct InjectedError {
     pub what: &'static str,
-    pub when: When,
+    pub injection: Injection,
 }
 
 const fn permanent_error(what: &'static str, error: fn(&mut Description, &mut BoardFaults)) -> InjectedError {
-    InjectedError { what, when: When::Always(error) }
+    InjectedError { what, injection: Injection::Always(error) }
 }
 
 const fn contact_error(what: &'static str, error: fn(&mut SimulatedBoard, &Description)) -> InjectedError {
-    InjectedError { what, when: When::InContact(error) }
+    InjectedError { what, injection: Injection::InContact(error) }
 }
 
 pub const INJECTED_ERRORS: [InjectedError; 37] = [
@@ -127,16 +127,15 @@ fn counts_per_radian(device: &Description) -> f64 {
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault, this time, s, after the error began or, for a permanent error, after
-    /// arming.
-    Seen(FaultRecord, f64, Harm),
+    /// Fault that turned the motors off, and time, s, since the error began (since arming for a permanent error).
+    Detected(FaultRecord, f64, EffectsOnHand),
     /// The board reported no fault.
-    Missed(Harm),
+    Missed(EffectsOnHand),
 }
 
 /// Largest effects of an error on a hand.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Harm {
+pub struct EffectsOnHand {
     /// Largest force of the motors at the tip, as a mean over 2 ms, N.
     pub push: f64,
     /// Largest current of a motor, A.
@@ -147,15 +146,15 @@ pub struct Harm {
 
 /// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
 fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
-    homed_board_as(&file.name, &file.description, Options::default(), |wired, broken| {
-        if let When::Always(error) = error.when {
+    board_with_error(&file.name, &file.description, Options::default(), |wired, broken| {
+        if let Injection::Always(error) = error.injection {
             error(wired, broken);
         }
     })
 }
 
 /// Like [`homed_board`] with any description and error.
-fn homed_board_as(
+fn board_with_error(
     name: &str,
     description: &Description,
     device: Options,
@@ -221,22 +220,22 @@ pub struct CheckMotion {
 
 /// Runs the polarity check and measures its effects.
 pub fn measure_check(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecord>, CheckMotion) {
-    check_motion(homed_board(file, error))
+    measure_motion(homed_board(file, error))
 }
 
 /// Like [`measure_check`] with any description and error, and with only two integration steps per carrier period.
-pub fn measure_check_of(
+pub fn measure_any_check(
     name: &str,
     description: &Description,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
-    check_motion(homed_board_as(name, description, Options { substep: 25e-6, ..Options::default() }, error))
+    measure_motion(board_with_error(name, description, Options { substep: 25e-6, ..Options::default() }, error))
 }
 
-fn check_motion(
+fn measure_motion(
     (shared, mut board, wired): (SharedBoard, Board, Description),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
-    let mut push = Push::of(&wired, &shared.lock());
+    let mut push = MotorTipForce::new(&wired, &shared.lock());
     let start = shared.lock().device().q();
     let mut motion = CheckMotion::default();
     let result = run_check(&shared, &mut board, |board| {
@@ -281,13 +280,13 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         value: at(-0.022, if nth % 2 == 0 { 8e-3 } else { -8e-3 }),
     }));
     board.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
-    if let When::InContact(error) = error.when {
+    if let Injection::InContact(error) = error.injection {
         board.run(1.25);
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
         error(&mut board, &wired);
     }
     let start_s = board.time();
-    let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
+    let (mut push, mut harm) = (MotorTipForce::new(&wired, &board), EffectsOnHand::default());
     while board.time() < start_s + 2.0 {
         board.carrier();
         let device = board.device();
@@ -296,7 +295,7 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         harm.speed = harm.speed.max(most(device.qd()));
         harm.push = harm.push.max(push.add_period(&board).unwrap_or(0.0));
         if let Some(record) = board.status().fault {
-            return Outcome::Seen(record, board.time() - start_s, harm);
+            return Outcome::Detected(record, board.time() - start_s, harm);
         }
     }
     Outcome::Missed(harm)

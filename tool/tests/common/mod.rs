@@ -49,7 +49,7 @@ pub mod prelude {
     pub use serde_json::Value;
 }
 
-/// Folder with the scenes of the demo's device, as in a command line.
+/// Folder with the scenes of the demo's device, relative to the repository.
 pub const SCENES: &str = "devices/scenes/coupled-five-bar";
 
 pub fn root() -> PathBuf {
@@ -61,7 +61,7 @@ pub fn read(path: &str) -> String {
     std::fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// Returns the text of a document whose content tests compute. If `UPDATE_DOCS` is set, writes `computed` there first.
+/// Returns the text of a document. If `UPDATE_DOCS` is set, first writes the `computed` text to the document.
 pub fn document(path: &str, computed: &str) -> String {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(root().join(path), computed).unwrap_or_else(|error| panic!("{path}: {error}"));

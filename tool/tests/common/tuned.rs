@@ -56,7 +56,7 @@ pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
 
 /// Tunes a wall. Checks that no wall with `stiffer` times the stiffness and another estimator, cutoff or damping meets
 /// the same limits. Returns the result and the number of walls checked.
-pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
+pub fn tune_and_check(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
     let found = tune(question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
     assert_eq!(accepted_wall(question, &best).unwrap(), Some(found.best), "the result does not meet its own limits");

@@ -1,8 +1,8 @@
 //! Reactions of a board to wrong device files, wires and sensors, as listed in docs/results/lies.csv.
 
-use crate::common::drawn::{CheckResult, check_sound, check_wrong};
+use crate::common::drawn::{CheckResult, check_correct_device, check_mismatched_device};
 use crate::common::forces::runs_beyond_limit;
-use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, outcome};
+use crate::common::injected::{INJECTED_ERRORS, InjectedError, Injection, Outcome, outcome};
 use crate::common::{document, shipped_device};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::output::csv_line;
@@ -30,7 +30,7 @@ fn outcome_cell(file: &DeviceFile, error: &InjectedError) -> String {
 fn the_table_holds_the_outcome_of_every_injected_error() {
     let row = |what: &str, cells: [String; DEVICES.len()]| csv_line(std::iter::once(what.into()).chain(cells));
     let mut made = row("what is wrong", DEVICES.map(String::from));
-    let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
+    let nothing = InjectedError { what: "nothing", injection: Injection::Always(|_, _| ()) };
     for error in std::iter::once(&nothing).chain(&INJECTED_ERRORS) {
         made += &row(error.what, DEVICES.map(|name| outcome_cell(&shipped_device(name), error)));
     }
@@ -39,29 +39,29 @@ fn the_table_holds_the_outcome_of_every_injected_error() {
 }
 
 /// Checks that at most `percent` % of the checks exceed a bound; docs/safety.md lists the percentages.
-fn check_rare(checked: &[CheckResult], percent: usize, beyond: impl Fn(&CheckResult) -> bool) {
+fn assert_rarely_beyond(checked: &[CheckResult], percent: usize, beyond: impl Fn(&CheckResult) -> bool) {
     let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
     println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
     assert!(100 * beyond.len() <= percent * checked.len());
 }
 
 /// Returns the number of checks: HAPTIC_CHECKS, by default `most`.
-fn check_count(most: u64) -> u64 {
+fn number_of_checks(most: u64) -> u64 {
     std::env::var("HAPTIC_CHECKS").ok().and_then(|text| text.parse().ok()).unwrap_or(most)
 }
 
 #[test]
 fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
-    let outcomes: Vec<_> = (0..check_count(500)).map(check_wrong).collect();
+    let outcomes: Vec<_> = (0..number_of_checks(500)).map(check_mismatched_device).collect();
     let most = |of: fn(&CheckResult) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
     println!("most: {:.2} N, {:.3} rad", most(|it| it.motion.push), most(|it| it.motion.travel));
-    check_rare(&outcomes, 1, |outcome| outcome.motion.push > 5.0 || outcome.motion.travel > 0.15);
+    assert_rarely_beyond(&outcomes, 1, |outcome| outcome.motion.push > 5.0 || outcome.motion.travel > 0.15);
 }
 
 #[test]
-fn a_sound_device_passes_its_check() {
-    let outcomes: Vec<_> = (10_000..10_000 + check_count(300)).map(check_sound).collect();
-    check_rare(&outcomes, 3, |outcome| outcome.result.is_err());
+fn a_correct_device_passes_its_check() {
+    let outcomes: Vec<_> = (10_000..10_000 + number_of_checks(300)).map(check_correct_device).collect();
+    assert_rarely_beyond(&outcomes, 3, |outcome| outcome.result.is_err());
 }
 
 /// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).

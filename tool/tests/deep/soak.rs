@@ -1,6 +1,6 @@
 //! Hours of contact with telemetry on the simulated board, through the tool's own link: ten minutes by default, a day
 //! with `cargo xtask soak`. No control step is missed, no row is lost or repeated, and force and memory do not drift.
-//! The only test in this file, because it measures the memory of its process.
+//! The file has only one test, because the test measures the memory of its process.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped_device};
@@ -17,9 +17,9 @@ const CYCLE_SECONDS: u32 = 2;
 const DEFAULT_SECONDS: u64 = 600;
 /// Number of cycles until friction and filters have settled.
 const SETTLING_CYCLES: usize = 5;
-/// Number of reference cycles, which follow the settled ones.
+/// Number of reference cycles, which follow the settling cycles.
 const REFERENCE_CYCLES: usize = 20;
-/// Largest relative deviation of a later cycle from the reference: a hundredth of the tenth that a hand can feel.
+/// Largest relative deviation of a later cycle from the reference: a hundredth of the 10 % that a hand can feel.
 const MAX_DRIFT: f64 = 1e-3;
 /// Largest growth of memory from the first minute to the end, bytes.
 const MAX_GROWTH_BYTES: u64 = 1 << 20;
@@ -68,7 +68,7 @@ impl Cycle {
 struct Span([(f64, f64); 4]);
 
 impl Span {
-    fn of(cycles: &[Cycle]) -> Self {
+    fn new(cycles: &[Cycle]) -> Self {
         let mut span = [(f64::INFINITY, f64::NEG_INFINITY); 4];
         for cycle in cycles {
             for (range, value) in span.iter_mut().zip(cycle.values()) {
@@ -161,7 +161,7 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     assert!(board.faults().unwrap().is_empty());
     // Every cycle agrees with the reference cycles. The last cycle is incomplete.
     cycles.pop();
-    let usual = Span::of(&cycles[SETTLING_CYCLES..SETTLING_CYCLES + REFERENCE_CYCLES]);
+    let usual = Span::new(&cycles[SETTLING_CYCLES..SETTLING_CYCLES + REFERENCE_CYCLES]);
     assert!(usual.0[0].0 > 1.0, "a cycle does not touch the wall: {} N", usual.0[0].0);
     let strange = cycles[SETTLING_CYCLES..].iter().position(|cycle| !usual.contains(cycle));
     assert_eq!(strange, None, "{:?}; usual {:?}", strange.map(|at| cycles[SETTLING_CYCLES + at]), usual.0);
@@ -187,7 +187,7 @@ fn report(seconds: u64, rows: u64, cycles: &[Cycle], grown: &str) -> String {
     let settled = &cycles[SETTLING_CYCLES..];
     let hours: Vec<&[Cycle]> = settled.chunks((3600 / CYCLE_SECONDS) as usize).collect();
     for (hour, touches) in [("1", hours[0]), (&hours.len().to_string(), hours[hours.len() - 1]), ("all", settled)] {
-        let [peak, impulse, ..] = Span::of(touches).0;
+        let [peak, impulse, ..] = Span::new(touches).0;
         let _ = writeln!(text, "| {hour} | {:.5} to {:.5} | {:.6} to {:.6} |", peak.0, peak.1, impulse.0, impulse.1);
     }
     text

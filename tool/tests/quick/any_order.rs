@@ -1,7 +1,7 @@
-//! Requests in any order, with rates, filters and rules changed while the motors are on. Runs the fuzzer's own targets
-//! (fuzz/src/requests.rs) with random scripts in every run of the tests. After every control period tests/rig/board.rs
-//! checks that bridges and duties are off unless the board is armed, that torques are within the limits, and that
-//! limits and rules are never loosened while the motors are on.
+//! Requests in any order, with rates, filters and rules changed while the motors are on. The tests run the fuzzer's
+//! targets (fuzz/src/requests.rs) with random scripts. After every control period tests/rig/board.rs checks that
+//! bridges and duties are off unless the board is armed, that torques are within the limits, and that limits and rules
+//! are never loosened while the motors are on.
 
 #[path = "../../../tests/rig/board.rs"]
 mod board;
@@ -22,12 +22,12 @@ impl RandomNumbers {
         (256.0 * self.0.uniform()) as u8
     }
 
-    fn below(&mut self, end: usize) -> usize {
+    fn number_below(&mut self, end: usize) -> usize {
         usize::from(self.byte()) % end
     }
 }
 
-/// Returns a script that arms the board again and again, with random requests, of which one in eight has changed bytes.
+/// Returns a script that arms the board again and again, with random requests. One request in eight has changed bytes.
 fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8
@@ -36,7 +36,7 @@ fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let wait = TEMPLATES.len() as u8 + 1;
     let endpoint_id = numbers.byte() & 0x7F;
     // The scene belongs to the board's device and has 200 Hz, 1 kHz, 20 kHz or its own rate.
-    let own = endpoint_id % shipped::shipped().len() as u8;
+    let own = endpoint_id % shipped::shipped_devices().len() as u8;
     let mut script = vec![endpoint_id, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
     for round in 0..40 {
         if round % 4 == 0 {
@@ -47,15 +47,15 @@ fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
             // Wait until, at 200 Hz, half of the torque ramp after arming is over.
             script.extend([wait, 12]);
         }
-        if numbers.below(3) == 0 {
-            let event = numbers.below(9);
+        if numbers.number_below(3) == 0 {
+            let event = numbers.number_below(9);
             script.push((TEMPLATES.len() + event) as u8);
             match event {
                 0 => script.extend([numbers.byte(), numbers.byte() & 0x0F, 0]),
-                2 => script.extend([24.0_f32, 9.0][numbers.below(2)].to_le_bytes()),
+                2 => script.extend([24.0_f32, 9.0][numbers.number_below(2)].to_le_bytes()),
                 3 => {
                     script.push(numbers.byte());
-                    script.extend([0.0_f32, 8.0][numbers.below(2)].to_le_bytes());
+                    script.extend([0.0_f32, 8.0][numbers.number_below(2)].to_le_bytes());
                 }
                 4 => script.extend([numbers.byte(), numbers.byte()]),
                 6 => {}
@@ -65,16 +65,16 @@ fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
         }
         // Two of three requests could loosen a protection or exceed a loosened limit.
         let pointed = [SetRules::REQ_KEY, Force::REQ_KEY, SetGains::REQ_KEY, SetScene::REQ_KEY];
-        let operation = match numbers.below(3) {
-            0 => numbers.below(TEMPLATES.len()) as u8,
-            _ => place(pointed[numbers.below(4)]),
+        let operation = match numbers.number_below(3) {
+            0 => numbers.number_below(TEMPLATES.len()) as u8,
+            _ => place(pointed[numbers.number_below(4)]),
         };
         // Load another device only rarely, because it has other joints and the rest of the script would have no effect.
-        if operation == place(SetDevice::REQ_KEY) && numbers.below(4) != 0 {
+        if operation == place(SetDevice::REQ_KEY) && numbers.number_below(4) != 0 {
             continue;
         }
         let variant = if operation == place(SetScene::REQ_KEY) { numbers.byte() & 0xC0 | own } else { numbers.byte() };
-        let spoilt = numbers.below(8) == 0;
+        let spoilt = numbers.number_below(8) == 0;
         script.extend([operation, variant, u8::from(spoilt)]);
         if spoilt {
             script.extend([numbers.byte(), 0, numbers.byte()]);
@@ -100,7 +100,7 @@ fn no_request_sequence_enables_bridges_or_exceeds_limits() {
 fn random_bytes_change_nothing() {
     let mut numbers = RandomNumbers(Random::new(0x8765_4321));
     for _ in 0..200 {
-        let length = 16 * numbers.below(64);
+        let length = 16 * numbers.number_below(64);
         requests::bytes(&(0..length).map(|_| numbers.byte()).collect::<Vec<_>>());
     }
 }

@@ -1,4 +1,4 @@
-//! A backup restores all saved settings of a board or none, byte for byte, also from another firmware version.
+//! A backup restores all saved settings, byte for byte, or no setting at all, also from another firmware version.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped_device};
@@ -113,7 +113,7 @@ fn a_polarity_check_is_never_restored() {
 }
 
 #[test]
-fn a_backup_without_a_mass_model_resets_it() {
+fn a_backup_without_a_mass_model_resets_the_boards_model() {
     let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     backup.settings.remove("mass-model");
     let mut target = board_with_all_settings();

@@ -1,5 +1,5 @@
-//! A wrong file is refused with exit code 2 and one message per mistake, which has file name, line and remedy. Tables
-//! list likely mistakes. In addition, every line of every shipped file is damaged.
+//! A wrong file is refused with exit code 2 and one message per mistake with file name, line and remedy. Tables list
+//! likely mistakes. In addition, the tests damage every line of every shipped file.
 
 use crate::common::{Folder, refusal, run, toml_files, type_lines};
 use haptic_host::device_file::DeviceFile;
@@ -247,7 +247,7 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (encoder, "lines = 1024", "counts_per_turn = 4 x lines x gear ratio"),
         (encoder, "cpr = 4096", "counts_per_turn = the edges of A and B"),
         (encoder, "type = \"AS5047\"", "incremental encoders with A and B only"),
-        (encoder, "index = true", "write offset"),
+        (encoder, "index = true", "set `offset`"),
         (encoder, "noise = 2.0", "cannot be described yet"),
         (joint, "backlash = 0.01", "cannot be described yet"),
     ] {

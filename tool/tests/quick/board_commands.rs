@@ -88,7 +88,7 @@ fn boards_refuse_requests_that_they_are_not_ready_for() {
 }
 
 #[test]
-fn a_refused_recording_makes_no_file_and_replaces_none() {
+fn a_refused_recording_creates_or_replaces_no_file() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
     let csv = folder.path("run.csv");
     sim.type_lines(&format!("1: record {csv} --arm => no scene is loaded"));
@@ -107,7 +107,7 @@ fn the_limit_of_the_tip_force_is_loaded_and_shown() {
     );
 }
 
-/// Saved settings survive a restart, so after saving the command does not ask.
+/// Saved settings survive a restart, so the command does not ask after `board save`.
 #[test]
 fn a_restart_asks_before_it_stops_motors_or_loses_settings() {
     Sim::start(&["--fast"]).type_lines(&format!(
@@ -395,7 +395,7 @@ fn the_tip_force_limit_has_the_documented_maximum() {
     }
 }
 
-/// A board with another protocol version, which understands only the requests that never change.
+/// A board with another protocol version. The board understands only the requests that never change.
 struct OtherVersionBoard {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,

@@ -131,7 +131,7 @@ fn existing_files_are_overwritten_only_with_force() {
 fn wrong_paths_are_refused_before_anything_starts() {
     let folder = Folder::new();
     let (wrong, progress) = (folder.path("x.png"), folder.path("missing/p.json"));
-    let missing = "/nonexistent is not there; make the folder first";
+    let missing = "/nonexistent does not exist; make the folder first";
     type_lines(&format!("1: view --port sim --listen 127.0.0.1:0 --record-to /nonexistent => {missing}"), &[]);
     let line = "devices/coupled-five-bar.toml --normal 0,1";
     type_lines(&format!("2: range {line} --rate 1000 --cutoff 20 --svg {wrong} => extension | --png"), &[]);

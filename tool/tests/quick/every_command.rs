@@ -86,7 +86,7 @@ fn split_words(line: &str) -> Vec<&str> {
     line.split(' ').collect()
 }
 
-fn run_each(lines: &[CommandCase], folder: &Path, port: &str) {
+fn run_commands(lines: &[CommandCase], folder: &Path, port: &str) {
     for (line, begins) in lines {
         let assert = haptic(&split_words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
         let printed = [&assert.get_output().stdout[..], &assert.get_output().stderr].concat();
@@ -96,12 +96,12 @@ fn run_each(lines: &[CommandCase], folder: &Path, port: &str) {
 
 #[test]
 fn every_command_without_a_board_succeeds() {
-    run_each(&COMMANDS_WITHOUT_BOARD, folder_with_devices().path(), "sim");
+    run_commands(&COMMANDS_WITHOUT_BOARD, folder_with_devices().path(), "sim");
 }
 
 #[test]
 fn every_command_with_a_board_succeeds() {
-    run_each(&COMMANDS_WITH_BOARD, folder_with_devices().path(), &Sim::start(&["--fast"]).port);
+    run_commands(&COMMANDS_WITH_BOARD, folder_with_devices().path(), &Sim::start(&["--fast"]).port);
 }
 
 /// Commands that no help page lists.

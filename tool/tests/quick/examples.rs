@@ -21,7 +21,7 @@ fn every_example_runs_to_its_end() {
 }
 
 #[test]
-fn every_example_is_run_above() {
+fn every_example_program_has_a_test() {
     let mut names: Vec<String> = std::fs::read_dir(crate::common::root().join("examples"))
         .expect("the folder of examples")
         .map(|entry| entry.expect("a readable entry").file_name().to_string_lossy().into_owned())

@@ -51,7 +51,7 @@ struct FiveBarOracle {
 }
 
 impl FiveBarOracle {
-    fn of(file: &DeviceFile) -> Self {
+    fn new(file: &DeviceFile) -> Self {
         let d = &file.description;
         let [base, proximal, _, distal, ..] = d.geometry;
         let of = |i: usize, length: f64| [d.links[i].mass, d.links[i].com / length, d.links[i].inertia];
@@ -76,9 +76,9 @@ impl FiveBarOracle {
 
     /// Returns the change of a point per joint angle, by differences.
     fn derivative(&self, q: &Vector2<f64>, point: impl Fn(&[Vector2<f64>; 5]) -> Vector2<f64>) -> Matrix2<f64> {
-        const H: f64 = 1.0e-5;
-        let column = |h: Vector2<f64>| (point(&self.points(&(q + h))) - point(&self.points(&(q - h)))) / (2.0 * H);
-        Matrix2::from_columns(&[column(Vector2::new(H, 0.0)), column(Vector2::new(0.0, H))])
+        const STEP: f64 = 1.0e-5;
+        let column = |h: Vector2<f64>| (point(&self.points(&(q + h))) - point(&self.points(&(q - h)))) / (2.0 * STEP);
+        Matrix2::from_columns(&[column(Vector2::new(STEP, 0.0)), column(Vector2::new(0.0, STEP))])
     }
 
     fn jacobian(&self, q: &Vector2<f64>) -> Matrix2<f64> {
@@ -105,14 +105,14 @@ impl FiveBarOracle {
 
     /// Returns the torques b = c - M J⁻¹ J̇ q̇ at a constant tip velocity, with c from Christoffel symbols, N m.
     fn forces_of_motion(&self, q: &Vector2<f64>, velocity: &Vector2<f64>) -> Vector2<f64> {
-        const H: f64 = 1.0e-4;
+        const STEP: f64 = 1.0e-4;
         let inverse = self.jacobian(q).try_inverse().unwrap();
         let qd = inverse * velocity;
-        let [by0, by1] = [Vector2::new(H, 0.0), Vector2::new(0.0, H)]
-            .map(|h| (self.mass(&(q + h)) - self.mass(&(q - h))) / (2.0 * H));
+        let [by0, by1] = [Vector2::new(STEP, 0.0), Vector2::new(0.0, STEP)]
+            .map(|h| (self.mass(&(q + h)) - self.mass(&(q - h))) / (2.0 * STEP));
         let energy = Vector2::new(qd.dot(&(by0 * qd)), qd.dot(&(by1 * qd))) / 2.0;
         let c = (by0 * qd.x + by1 * qd.y) * qd - energy;
-        let t = H / qd.norm();
+        let t = STEP / qd.norm();
         let bent = (self.tip(&(q + qd * t)) - self.tip(q) * 2.0 + self.tip(&(q - qd * t))) / (t * t);
         c - self.mass(q) * inverse * bent
     }
@@ -144,7 +144,7 @@ fn law(device: &Device<f64>, terms: VelocityTerms, (rate_hz, cutoff_hz): (f64, f
 fn faded_velocity_terms_count_as_an_error() {
     for Slide { device: name, q, normal, known } in SLIDES {
         let (file, device) = (shipped_device(name), shipped_device(name).device().unwrap());
-        let links = FiveBarOracle::of(&file);
+        let links = FiveBarOracle::new(&file);
         let probes = [sliding_probe(&links, q, normal)];
         let b = links.forces_of_motion(&Vector2::from(q), &(unit_vector(normal + 90.0) * 0.5));
         let left = links.tip_force(&Vector2::from(q), &b).norm();
@@ -157,7 +157,7 @@ fn faded_velocity_terms_count_as_an_error() {
             let way = TorqueVariant { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
             let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
-            // Faded terms do not count against the planner's choice.
+            // The error of faded terms does not count against the planner's choice.
             assert!(found.unfaded_errors.force.max < 1e-3, "{name} {rate:?}: {found:?}");
             let parts = error_sources(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
@@ -168,7 +168,7 @@ fn faded_velocity_terms_count_as_an_error() {
 /// Returns the torque of the board's control step at the end of a slide.
 fn torque_after_slide(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vector2<f64> {
     let file = shipped_device(name);
-    let (links, device) = (FiveBarOracle::of(&file), Device::<f64>::new("fine", &with_fine_encoders(&file)).unwrap());
+    let (links, device) = (FiveBarOracle::new(&file), Device::<f64>::new("fine", &with_fine_encoders(&file)).unwrap());
     let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
     let (n, along) = (unit_vector(normal), unit_vector(normal + 90.0));
     let end = links.tip(&Vector2::from(q));
@@ -207,7 +207,7 @@ fn the_board_adds_no_terms_where_its_estimates_lag_too_far() {
 #[test]
 fn omitted_velocity_terms_cost_their_force() {
     let file = shipped_device("coupled-five-bar");
-    let (links, device) = (FiveBarOracle::of(&file), file.device().unwrap());
+    let (links, device) = (FiveBarOracle::new(&file), file.device().unwrap());
     let (q, normal) = ([2.6, 1.75], 75.0);
     let probes = [sliding_probe(&links, q, normal)];
     let q = Vector2::from(q);

@@ -64,7 +64,7 @@ fn http_get(address: &str, path: &str, origin: &str) -> (String, Value) {
 struct LocalServer {
     address: String,
     board: SharedBoard,
-    /// Number of the next messages to the board that are lost.
+    /// Number of next messages to the board that the wire loses.
     loses: Arc<AtomicU32>,
     stop: Arc<AtomicBool>,
     server: Option<JoinHandle<()>>,
@@ -72,11 +72,11 @@ struct LocalServer {
 
 impl LocalServer {
     fn start() -> Self {
-        Self::of(HaplyListener::open(0).unwrap(), |_| {})
+        Self::start_with(HaplyListener::open(0).unwrap(), |_| {})
     }
 
     /// Calls `prepare` on a session with the board, then starts the server with this listener.
-    fn of(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
+    fn start_with(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
         let (board, mut session) = strict_board();
         prepare(&mut session);
         drop(session);
@@ -318,7 +318,7 @@ fn a_device_that_is_not_homed_reports_that_it_is_not_ready() {
         let device = session.device().unwrap().unwrap();
         session.set_device(&device).unwrap();
     };
-    let forgotten = LocalServer::of(HaplyListener::open(0).unwrap(), forget);
+    let forgotten = LocalServer::start_with(HaplyListener::open(0).unwrap(), forget);
     let (mut program, _, first) = forgotten.connect();
     assert_eq!(status(&first), [false; 3]);
     let frame = program.request(&push);
@@ -328,7 +328,7 @@ fn a_device_that_is_not_homed_reports_that_it_is_not_ready() {
 
 #[test]
 fn a_silent_program_gives_way_to_the_next() {
-    let within = |silence| LocalServer::of(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
+    let within = |silence| LocalServer::start_with(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
     let server = within(Duration::MAX);
     let _program = server.connect();
     assert!(Program::connect(&server.address).is_err());

@@ -1,8 +1,8 @@
 //! Before a board arms, it measures its device and so detects wrong device files, wires and sensors.
 
-use crate::common::drawn::check_wrong;
+use crate::common::drawn::check_mismatched_device;
 use crate::common::injected::{
-    INJECTED_ERRORS, InjectedError, Outcome, When, check_fault, measure_check, outcome, scale_counts_per_turn,
+    INJECTED_ERRORS, InjectedError, Injection, Outcome, check_fault, measure_check, outcome, scale_counts_per_turn,
 };
 use crate::common::{all_shipped_devices, shipped_device};
 use haptic_bridge::model::description::Description;
@@ -12,7 +12,7 @@ use haptic_bridge::safety::limits::GENTLE_FORCE;
 #[test]
 fn every_shipped_device_passes_its_check() {
     for file in all_shipped_devices() {
-        let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
+        let nothing = InjectedError { what: "nothing", injection: Injection::Always(|_, _| ()) };
         assert_eq!(check_fault(&file, &nothing), Ok(()), "{}", file.name);
     }
 }
@@ -65,7 +65,7 @@ fn a_board_does_not_arm_if_the_device_differs_from_its_file() {
 fn a_check_with_ten_times_the_counts_stops_near_its_start() {
     let error = InjectedError {
         what: "a tenth of the file's counts",
-        when: When::Always(|wired, _| scale_counts_per_turn(wired, 0.1)),
+        injection: Injection::Always(|wired, _| scale_counts_per_turn(wired, 0.1)),
     };
     let mut mistakes = Vec::new();
     for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
@@ -81,7 +81,7 @@ fn a_check_with_ten_times_the_counts_stops_near_its_start() {
 fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
     let file = shipped_device("capstan-pantograph");
     let homed_off =
-        |error| measure_check(&file, &InjectedError { what: "the device is not at home", when: When::Always(error) });
+        |error| measure_check(&file, &InjectedError { what: "not at home", injection: Injection::Always(error) });
     let push_cases = [
         homed_off(|wired, _| displace_home(wired, [0.2, 0.0])),
         homed_off(|wired, _| displace_home(wired, [0.0, -0.2])),
@@ -104,7 +104,7 @@ fn displace_home(wired: &mut Description, off: [f64; 2]) {
 #[test]
 fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
-        let outcome = check_wrong(seed);
+        let outcome = check_mismatched_device(seed);
         assert!(outcome.motion.push < 5.0 && outcome.motion.travel < 0.15 && outcome.result.is_err(), "{outcome}");
     }
 }

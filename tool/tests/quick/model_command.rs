@@ -116,8 +116,8 @@ fn the_default_pose_is_home() {
 }
 
 #[test]
-fn whole_turns_change_nothing_on_the_board_either() {
-    // The board's trigonometry is accurate within a turn, so angles are wrapped before they are rounded to f32.
+fn whole_turns_change_no_torque_of_the_board() {
+    // The board's trigonometry is accurate within a turn, so angles are reduced to one turn before rounding to f32.
     let turn = core::f64::consts::TAU;
     let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
     let near = model_json("coupled-five-bar", &[&wall[..], &[&angles_option(&[2.6, 1.75])]].concat());
@@ -232,7 +232,7 @@ fn inertias_along_wall(document: &Value, torque: &DVector<f64>, normal: &[f64]) 
 }
 
 #[test]
-fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
+fn a_hand_feels_less_inertia_along_a_wall_with_the_feed_forward() {
     for (name, pose, normal) in [
         ("coupled-five-bar", "--q=2.6,1.75", vec![0.6, 0.8]),
         ("phantom-premium-1.5", "--q=0.3,0.9,-0.3", vec![-0.6, 0.0, 0.8]),

@@ -19,7 +19,7 @@ fn find_warning<'a>(document: &'a Value, words: &str) -> Option<&'a Value> {
     document["warnings"].as_array().unwrap().iter().find(|warning| warning["text"].as_str().unwrap().contains(words))
 }
 
-fn is_clean(document: &Value) -> bool {
+fn no_warnings(document: &Value) -> bool {
     document["warnings"].as_array().unwrap().is_empty()
 }
 
@@ -81,7 +81,7 @@ fn scenes_beyond_reach_loop_or_motors_cause_warnings() {
     let (_, err) = check_changed(&[], Some(gentle));
     assert!(!err.contains("predicted stable"), "{err}");
     // Walls so soft that the motors can render them in full cause no warning.
-    assert!(["60.0", "0.0"].iter().all(|soft| is_clean(&check_changed(&[], Some(&wall_toml(at, soft, "1.0"))).0)));
+    assert!(["60.0", "0.0"].iter().all(|soft| no_warnings(&check_changed(&[], Some(&wall_toml(at, soft, "1.0"))).0)));
     // Without damping no stiffness is stable, so the warning must not compare the stiffness with a limit.
     let (_, err) = check_changed(&[("viscous = 0.0003", "viscous = 0.0")], Some(&wall_toml(at, "3000.0", "0.0")));
     assert!(err.contains("write a damping of up to") && !err.contains("times that"), "{err}");
@@ -103,7 +103,7 @@ fn missing_transmissions_and_coarse_encoders_cause_warnings() {
     let [warning] = &json["warnings"].as_array().unwrap()[..] else { panic!("{err}") };
     let text = warning["text"].as_str().unwrap();
     assert!(text.contains("the transmission of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
-    assert!(is_clean(&check_changed(&[(rigid, "[joint.transmission]\nstiffness = 20.0\n")], None).0));
+    assert!(no_warnings(&check_changed(&[(rigid, "[joint.transmission]\nstiffness = 20.0\n")], None).0));
     // At a high cutoff a hand feels the encoder steps in the damping of a wall, at a low cutoff it does not.
     let of = |cutoff: f64| {
         let wall = wall_toml("[0.0, 0.125]", "500.0", "12.0");
@@ -188,7 +188,7 @@ fn shipped_files_cause_no_warnings() {
     }
 }
 
-/// The length of the Phantom's arm is upper + fore. It turns freely about y, so this is the reach in ±x and ±z.
+/// The Phantom's arm has the length upper + fore and turns freely about y, so this is the reach in ±x and ±z.
 #[test]
 fn the_reach_is_exact_although_the_grid_is_coarse() {
     let reach = json(&["check", "devices/phantom-premium-1.5.toml"])["summary"]["reach"].clone();

@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Rows per second of the recordings.
 const ROWS_PER_SECOND: f64 = 1000.0;
-/// Number of rows of [`write_recording`], with the missing rows.
+/// Number of rows of [`write_recording`], including the missing rows.
 const ROW_COUNT: usize = 2000;
 /// Rows that are missing in [`write_recording`].
 const MISSING_ROWS: std::ops::Range<usize> = 600..700;
@@ -286,7 +286,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
     assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
     assert!(printed.contains("stiffness found: 60000 N/m"), "{printed}");
-    // The fitted line is drawn from the first to the last of the rows that it is fitted to.
+    // The fitted line is drawn from the first to the last fitted row.
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);

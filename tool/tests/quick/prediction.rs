@@ -28,7 +28,7 @@ fn predict(device: &str, options: &str, feed_forward: &str) -> Value {
 }
 
 #[test]
-fn the_line_printed_by_check_predicts_the_same() {
+fn the_line_printed_by_check_repeats_its_prediction() {
     let folder = Folder::new();
     let mut lines = 0;
     for name in DEVICES {
@@ -67,7 +67,7 @@ fn the_line_printed_by_check_predicts_the_same() {
 }
 
 #[test]
-fn lines_printed_by_range_and_measure_range_predict_the_same() {
+fn lines_of_range_and_measure_range_repeat_their_predictions() {
     let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = shipped_path(&format!("{name}.toml"));
@@ -113,7 +113,7 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
 }
 
 #[test]
-fn design_and_range_agree_with_cables_too() {
+fn design_and_range_agree_on_devices_with_cables() {
     let device = shipped_path("cable-five-bar.toml");
     let q = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--points", "40"];
     let found = json(&[&["design", &device], &q[..]].concat());
@@ -130,7 +130,7 @@ fn design_and_range_agree_with_cables_too() {
     }
 }
 
-/// A gear ratio larger by a tenth adds 21 % to the inertia of the motor, but nothing to that of the link.
+/// A gear ratio larger by a tenth adds 21 % to the inertia of the motor, but nothing to the inertia of the link.
 #[test]
 fn a_gear_ratio_changes_only_the_motors_inertia() {
     let mut description = shipped_device("cable-five-bar").description;
@@ -309,7 +309,7 @@ fn no_passive_bound_is_named_for_encoders_behind_cables() {
 }
 
 #[test]
-fn without_a_stable_range_islands_are_reported() {
+fn stable_islands_are_reported_without_a_stable_range() {
     let folder = Folder::new();
     let soft_cable = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
     let soft_changes = [("stiffness = 1280.0\ndamping = 0.0372", soft_cable), ("viscous = 0.001", "viscous = 0.0")];
@@ -350,8 +350,8 @@ fn a_posture_is_part_of_the_loop() {
     type_lines("2: range devices/haply-2diy.toml --normal=0,1 --posture 0.5,0.03", &[]);
 }
 
-/// The linear prediction leaves out friction, encoder steps, hand and unilateral contact. They change the frequency by
-/// at most 13 %: it is lower far above the boundary, where the tip often leaves the wall, and higher close to it.
+/// The linear prediction leaves out friction, encoder steps, hand and unilateral contact. These change the frequency by
+/// at most 13 %: down far above the boundary, where the tip often leaves the wall, and up close to the boundary.
 #[test]
 fn the_demos_wall_buzzes_at_the_predicted_frequency() {
     for (stiffness, damping) in [(22_000.0, 40.0), (12_000.0, 80.0), (30_000.0, 40.0)] {

@@ -79,7 +79,7 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
             assert_eq!(growth > 0.0, grows, "{mode:?}: {growth}");
             let expected = oscillation(&device, &around, mode, gain, kd).unwrap().unwrap();
             assert!((hz / expected.hz - 1.0).abs() < 2e-3, "{mode:?}: {hz} Hz is not {expected:?}");
-            // The largest sample is up to 2 % below the peak, an error of the growth of 0.02/s over the 1.2 s.
+            // The largest sample is up to 2 % below the peak. Over 1.2 s this causes an error of 0.02/s.
             assert!((growth - expected.growth_per_s).abs() < 0.02, "{mode:?}: {growth}/s is not {expected:?}");
         }
     }
@@ -202,7 +202,7 @@ fn damping_compensation_stabilises_a_creeping_feed_forward() {
 }
 
 #[test]
-fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
+fn the_area_of_a_fast_loop_scales_with_the_square_of_the_mass() {
     let loop_ = control_loop(50_000.0, 20.0);
     let ratio = area(&point_mass(7.0), &loop_, Mode::Off) / area(&point_mass(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");

@@ -93,7 +93,7 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
         let mut cut = 0;
         for pair in points.windows(2) {
             let (a, b) = (pair[0], pair[1]);
-            // With the pose, the tip force of 2 N m changes by 0.2 N per mm, that is 2 mN per depth step of 0.01 mm.
+            // The tip force of 2 N m changes with the pose by 0.2 N per mm, which is 2 mN per depth step of 0.01 mm.
             assert!(b.along >= a.along - 5.0e-3, "{feed_forward:?}: {a:?} {b:?}");
             assert!((b.along - a.along).abs() < 0.21, "the wall needs only 0.2 N more: {a:?} {b:?}");
             assert!((b.across - a.across).abs() < 0.25, "{feed_forward:?}: {a:?} {b:?}");

@@ -26,7 +26,7 @@ fn lossy_session() -> (Session, Arc<AtomicU32>) {
 }
 
 #[test]
-fn a_lost_frame_delays_one_force_by_its_patience() {
+fn a_lost_frame_delays_one_force_by_its_timeout() {
     let (mut session, loses) = lossy_session();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);

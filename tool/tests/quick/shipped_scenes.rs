@@ -22,14 +22,14 @@ fn devices_with_scenes() -> Vec<(DeviceFile, Vec<SceneFile>)> {
 
 /// Returns the tip's distance from each wall at joint angles `q`; `None` if the linkage cannot close there.
 fn distances(device: &DeviceFile, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
-    fn distances_of<const N: usize, M: Mechanism<f64, N>>(m: &M, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
+    fn wall_gaps<const N: usize, M: Mechanism<f64, N>>(m: &M, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
         let pose = m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| q[i]));
         let mut tip = m.tip(&pose);
         (M::SPEC.task..N).for_each(|i| tip[i] = 0.0);
         let distance = |wall: &haptic_bridge::render::scene::Wall<f64>| wall.surface.contact::<Libm, N>(&tip).distance;
         (m.regularity(&pose).parallel > 0.0).then(|| scene.walls.iter().map(distance).collect())
     }
-    with_mechanism!(&device.mechanism, m => distances_of(m, scene, q))
+    with_mechanism!(&device.mechanism, m => wall_gaps(m, scene, q))
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Replies and motion of the simulated board over its real protocol. Its time advances only while it is read or run.
+//! Replies and motion of the simulated board over its real protocol. Time advances only while a test reads or runs it.
 
 use crate::common::prelude::*;
 use crate::common::strict::verify_motors;
@@ -20,7 +20,7 @@ fn connect_board(options: BoardOptions) -> (SharedBoard, Board) {
 }
 
 /// Returns a scene with a wall whose surface is `gap` metres below the tip and faces up (+y).
-fn wall_below(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
+fn wall_below_tip(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
     let tip = shared.lock().device().tip();
     let point = [tip[0] as f32, (tip[1] - gap) as f32, 0.0];
     let wall = Wall { feed_forward, ..plane_wall(point, [0.0, 1.0, 0.0], 1000.0, 5.0) };
@@ -57,7 +57,7 @@ fn a_board_describes_itself() {
 #[test]
 fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    board.set_scene(&wall_below_tip(&shared, 0.005, FeedForward::Off)).unwrap();
     board.arm().unwrap();
     push_down(&shared, 4.0);
     board.start_stream(fields("distance,force,state").unwrap(), 20).unwrap();
@@ -79,7 +79,7 @@ fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
 #[test]
 fn a_disarmed_wall_has_no_force() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    board.set_scene(&wall_below_tip(&shared, 0.005, FeedForward::Off)).unwrap();
     push_down(&shared, 4.0);
     let before = shared.lock().device().tip()[1];
     shared.lock().run(0.5);
@@ -130,7 +130,7 @@ fn arming_is_refused_with_the_reason() {
     let mut description = device_file().description;
     board.set_device(&Device::new("unverified", &description).unwrap()).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::NoScene);
-    board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
+    board.set_scene(&wall_below_tip(&shared, 0.01, FeedForward::Full)).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::MotorNotVerified(0));
     verify_motors(&mut description);
     board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
@@ -141,7 +141,7 @@ fn arming_is_refused_with_the_reason() {
     run_with_heartbeats(&shared, &mut board, 20.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
     // The polarity check moved the device, so put the wall around the tip's new place.
-    let scene = wall_below(&shared, -0.01, FeedForward::Full);
+    let scene = wall_below_tip(&shared, -0.01, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::InsideWall);
 }
@@ -178,7 +178,7 @@ fn a_reversed_motor_is_detected_before_arming() {
 #[test]
 fn gains_change_during_contact_and_invalid_gains_are_refused() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Washout)).unwrap();
+    board.set_scene(&wall_below_tip(&shared, 0.005, FeedForward::Washout)).unwrap();
     board.arm().unwrap();
     push_down(&shared, 4.0);
     shared.lock().run(2.0);
@@ -199,7 +199,7 @@ fn gains_change_during_contact_and_invalid_gains_are_refused() {
 #[test]
 fn a_silent_host_disarms_and_a_waiting_one_does_not() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    board.set_scene(&wall_below(&shared, 0.05, FeedForward::Off)).unwrap();
+    board.set_scene(&wall_below_tip(&shared, 0.05, FeedForward::Off)).unwrap();
     let rules = Rules { host_action: HostAction::Disarm, host_seconds: 0.3, ..board.rules().unwrap() };
     board.set_rules(&rules).unwrap();
     board.arm().unwrap();
@@ -220,7 +220,7 @@ fn a_silent_host_disarms_and_a_waiting_one_does_not() {
 #[test]
 fn settings_survive_a_restart_once_saved() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    let scene = wall_below(&shared, 0.02, FeedForward::Full);
+    let scene = wall_below_tip(&shared, 0.02, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     board.restart().unwrap();
     assert_eq!(board.device().unwrap(), None, "an unsaved device survived");
@@ -236,7 +236,7 @@ fn settings_survive_a_restart_once_saved() {
 fn two_runs_are_the_same_bit_for_bit() {
     let run = || {
         let (shared, mut board) = connect_board(BoardOptions::default());
-        board.set_scene(&wall_below(&shared, 0.002, FeedForward::Washout)).unwrap();
+        board.set_scene(&wall_below_tip(&shared, 0.002, FeedForward::Washout)).unwrap();
         board.arm().unwrap();
         push_down(&shared, 3.0);
         board.start_stream(fields("all").unwrap(), 7).unwrap();
@@ -249,11 +249,11 @@ fn two_runs_are_the_same_bit_for_bit() {
     assert_eq!(run(), run());
 }
 
-/// Simulates a second of contact with a wall too stiff for its rate. Returns from the telemetry the least energy (J),
-/// the largest added damping (N s/m), and the root mean square of the velocity (m/s) in the second half.
+/// Simulates a second of contact with a wall too stiff for its rate. Returns the least energy (J), the largest added
+/// damping (N s/m), and the root mean square of the velocity in the second half (m/s) from the telemetry.
 fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    let mut scene = wall_below(&shared, 0.001, FeedForward::Off);
+    let mut scene = wall_below_tip(&shared, 0.001, FeedForward::Off);
     scene.rate_hz = 1_000.0;
     scene.cutoff_hz = 100.0;
     scene.walls[0].stiffness = 40_000.0;
@@ -312,15 +312,15 @@ impl StraightForce {
 
 #[test]
 fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
-    const MOST: f64 = 0.3;
+    const LIMIT_NM: f64 = 0.3;
     let device = Options::frictionless();
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
     let (shared, mut board) = connect_board(options);
     let mut rules = board.rules().unwrap();
-    rules.limits.torque = [MOST as f32; 3];
+    rules.limits.torque = [LIMIT_NM as f32; 3];
     rules.limits.tip_force = 1.0e3;
     board.set_rules(&rules).unwrap();
-    let mut scene = wall_below(&shared, 0.002, FeedForward::Off);
+    let mut scene = wall_below_tip(&shared, 0.002, FeedForward::Off);
     scene.walls[0].damping = 0.0;
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
@@ -342,7 +342,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
         panic!("the shipped device is a five-bar")
     };
-    let straight = StraightForce { mechanism, most: MOST };
+    let straight = StraightForce { mechanism, most: LIMIT_NM };
     let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
         let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
@@ -361,7 +361,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
         }
         beyond += usize::from(share < 0.5);
         deepest = deepest.max(-distance);
-        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|t| t.clamp(-LIMIT_NM, LIMIT_NM)))[0].abs());
     }
     let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
@@ -373,7 +373,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
 #[test]
 fn a_hand_loop_stays_outside_walls_until_the_board_is_armed() {
     let (shared, mut board) = connect_board(BoardOptions::default());
-    let scene = wall_below(&shared, 0.01, FeedForward::Off);
+    let scene = wall_below_tip(&shared, 0.01, FeedForward::Off);
     board.set_scene(&scene).unwrap();
     let tip = shared.lock().device().tip();
     let walls = Scene { task: 2, walls: scene.walls.iter().map(Wall::cast).collect(), ..Scene::default() };
@@ -381,7 +381,7 @@ fn a_hand_loop_stays_outside_walls_until_the_board_is_armed() {
     assert!(around.on_a_wall);
     shared.lock().set_hand_loop(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
     for _ in 0..3 {
-        // Arm at many times of the loop, which takes four seconds and, once armed, is in the wall for half of them.
+        // Arm at many times of the loop, which lasts 4 s. If the board is armed, the hand is in the wall for 2 s.
         for _ in 0..10 {
             shared.lock().run(0.41);
             board.arm().expect("the hand waits outside of the wall");

@@ -1,4 +1,4 @@
-//! The simulated device agrees with closed forms and does not gain energy, as it would by errors of the integration.
+//! The simulated device agrees with closed forms and does not gain energy from integration errors.
 
 use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::Kind;
@@ -76,7 +76,7 @@ fn a_free_linkage_keeps_its_energy() {
     assert!(worst < 1e-9, "relative energy drift {worst:e}");
 }
 
-/// Returns the paddle of 1e-3 kg m² whose rotor, 3e-4 of it, drives the link through a compliant transmission.
+/// Returns the paddle of 1e-3 kg m². Its rotor has 3e-4 kg m² and drives the link through a compliant transmission.
 fn soft_paddle(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Description {
     let mut paddle = paddle(0.0, 0.0);
     paddle.joints[0].transmission = Some(Transmission { stiffness, damping, motor_inertia: 3e-4, encoder_at });

@@ -90,7 +90,7 @@ fn mean_torque(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     sum
 }
 
-/// At twelve times the uncertainty, a velocity is reduced by 1/12², and a product of two velocities by twice that.
+/// A velocity of 12 times its uncertainty is reduced by 1/12², and a product of two velocities by 2/12².
 #[test]
 fn velocity_terms_act_on_a_motion() {
     // Largest response of a 2nd-order Butterworth to a step of its input's integral: ω e^(-π/4) sin(π/4) √2.

@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, spawn};
 use std::time::Duration;
 
-const NO_PATIENCE: Duration = Duration::ZERO;
+const NO_WAIT: Duration = Duration::ZERO;
 const AN_HOUR: Duration = Duration::from_secs(3600);
 
 fn device() -> DeviceFile {
@@ -120,7 +120,7 @@ fn two_tools_in_a_row_stream_without_loss() {
 
 #[test]
 fn a_second_tool_is_refused_without_disturbing_the_first() {
-    for served in ServedBoard::on_every_port(NO_PATIENCE) {
+    for served in ServedBoard::on_every_port(NO_WAIT) {
         let mut first = served.open();
         first.start_stream(fields("usual").unwrap(), 10).unwrap();
         read_rows(&mut first, 500);
@@ -132,7 +132,7 @@ fn a_second_tool_is_refused_without_disturbing_the_first() {
 
 #[test]
 fn a_request_to_disarm_arrives_at_a_board_that_is_in_use() {
-    for served in ServedBoard::on_every_port(NO_PATIENCE) {
+    for served in ServedBoard::on_every_port(NO_WAIT) {
         // Meanwhile the first tool does not read, as if its process were stopped.
         let mut first = served.open_armed();
         disarm_held_board(&served.port).unwrap();
@@ -146,7 +146,7 @@ fn a_request_to_disarm_arrives_at_a_board_that_is_in_use() {
 
 #[test]
 fn silent_connections_do_not_block_a_request_to_disarm() {
-    let server = ServedBoard::on_tcp(NO_PATIENCE, AN_HOUR);
+    let server = ServedBoard::on_tcp(NO_WAIT, AN_HOUR);
     let mut first = server.open_armed();
     let silent = || (0..100).map(|_| server.connect()).collect::<Vec<_>>();
     // Like `haptic disarm`, first connect normally, which is refused because the board is in use.
@@ -175,7 +175,7 @@ fn partial_requests_do_not_block_a_request_to_disarm() {
 
 #[test]
 fn a_tool_replaces_silent_connections() {
-    let server = ServedBoard::on_tcp(AN_HOUR, NO_PATIENCE);
+    let server = ServedBoard::on_tcp(AN_HOUR, NO_WAIT);
     let _silent: Vec<_> = (0..100).map(|_| server.connect()).collect();
     let mut board = server.open();
     // The silent connections do not get the board back.
@@ -316,7 +316,7 @@ impl Wire for UnknownDevice {
 }
 
 #[test]
-fn unknown_boards_are_reported_and_sent_nothing_else() {
+fn unknown_boards_receive_no_further_requests() {
     let error = UnknownDevice::connect_error(None);
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
     for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
@@ -357,7 +357,7 @@ fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureErro
 }
 
 #[test]
-fn a_stopped_measurement_turns_off_and_restores_the_rules() {
+fn a_stopped_measurement_turns_motors_off_and_restores_rules() {
     let (shared, mut board) = board_in_process();
     let scene =
         SceneFile::load(Path::new(&shipped_path("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();

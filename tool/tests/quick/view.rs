@@ -199,7 +199,7 @@ fn one_page_commands_and_the_others_watch() {
     view.send(first, json!({"do": "give"}));
     assert!(view.page(second).picture["command"].is_null());
     view.send(first, json!({"do": "arm", "seen": 1}));
-    assert_eq!(view.page(first).refusal(), "no page is in command: take it first");
+    assert_eq!(view.page(first).refusal(), "no page is in command: take command first");
     view.send(second, json!({"do": "take"}));
     assert_eq!(view.page(first).picture["command"], view.pages[second].id);
 }

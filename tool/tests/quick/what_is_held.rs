@@ -114,7 +114,7 @@ fn commands_take_a_gain_and_an_admissible_set() {
     type_lines(
         "range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.2588,0.9659 --rate 1000 --cutoff 100 --kd 40 \
             --feed-forward-gain 2 => met with 2 times the feed-forward | its cost: 2 times
-        2: range devices/coupled-five-bar.toml --normal 0.2588,0.9659 --q 2.6,1.75 --feed-forward-gain 4 => not from 0 to 2.9
+        2: range devices/coupled-five-bar.toml --normal 0.2588,0.9659 --q 2.6,1.75 --feed-forward-gain 4 => is not between 0 and 2.9
         model devices/serial-3r.toml --q 0.5,0.8,0.7 --normal 0.6,0.8 => with orientation held | \
             orientation 3.99 joint-0 1.29
         model devices/serial-3r.toml --q 0.5,0.8,0.7 --normal 0.6,0.8 --admissible consistent => with consistent held

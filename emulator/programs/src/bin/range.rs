@@ -34,8 +34,8 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Measures at `rate` without and with the feed-forward, each on its own board. Returns the results and the delay that
-/// the board reports.
+/// Measures at `rate` without and with the feed-forward, each on its own board. Returns the results and the board's
+/// delay.
 fn measure_both(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
         let running = [FeedForward::Off, FeedForward::Full].map(|mode| {

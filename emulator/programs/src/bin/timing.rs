@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use haptic_emulator::cases::{CASES, Case, SCENES};
 use haptic_emulator::results;
-use haptic_emulator::timing::{Timing, rates, replacements, scenes, steps, table};
+use haptic_emulator::timing::{Timing, new_scene_table, rate_table, scene_table, step_table, table};
 
 /// Name of a table, and the function that measures the table.
 type Table = (&'static str, fn() -> String);
@@ -25,13 +25,13 @@ fn measure_cases(cases: &[Case]) -> Vec<Timing> {
 fn main() -> ExitCode {
     let tables: [Table; 5] = [
         ("timing", || table(&measure_cases(&CASES))),
-        ("timing-scenes", || scenes(&measure_cases(&SCENES))),
-        ("timing-steps", steps),
-        ("timing-new-scenes", replacements),
+        ("timing-scenes", || scene_table(&measure_cases(&SCENES))),
+        ("timing-steps", step_table),
+        ("timing-new-scenes", new_scene_table),
         ("timing-rates", || {
             // A rate that is too high ends in a panic on its own thread, and the rate counts as not sustained.
             std::panic::set_hook(Box::new(|_| ()));
-            rates()
+            rate_table()
         }),
     ];
     for (name, measure) in tables {

@@ -223,7 +223,7 @@ fn feed_forward_benefit(range: &Range) -> String {
     }
 }
 
-pub fn describe_why(why: &Why) -> String {
+pub fn describe_why(why: &EffectShares) -> String {
     let mut text =
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
     let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));

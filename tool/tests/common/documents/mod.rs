@@ -4,7 +4,7 @@
 //! - `sh board`: the same, with a strict simulated board at HAPTIC_PORT, `my-device.toml` and `my-scene.toml`.
 //! - `sh slow: REASON`: `cargo xtask test --deep documents` runs the commands, when the images are built.
 //! - `sh no-run: REASON`, `python no-run: REASON` and so on, `text`: not run.
-//! - `toml device`, `toml scene`: `haptic check` must accept the file, a scene on the coupled five-bar.
+//! - `toml device`, `toml scene`: `haptic check` must accept the file. Scenes are checked on the coupled five-bar.
 
 pub mod blocks;
 pub mod session;

@@ -51,7 +51,7 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    /// TCP port that replaces 7710: the newest server's.
+    /// TCP port of the newest server, which replaces 7710.
     port: String,
     patience: Duration,
 }

@@ -11,7 +11,7 @@ use page::{
 };
 
 #[test]
-fn a_sliding_tip_follows_the_rendered_wall_best() {
+fn a_tip_slides_closest_to_its_wall_with_rendered_terms() {
     for case in SLIDES {
         let [off, paper, rendered] =
             VELOCITY_TERMS.map(|terms| 1e6 * slide_distance(case, terms, FINE_COUNTS_PER_TURN));
@@ -26,7 +26,7 @@ fn a_sliding_tip_follows_the_rendered_wall_best() {
 }
 
 #[test]
-fn the_rendered_wall_is_flattest_except_on_coarse_encoders() {
+fn rendered_terms_are_best_except_on_coarse_encoders() {
     // An independent plant on 120 other slides has medians of 22, 25 and 0.25 µm. With 20 000 counts its medians are
     // 30, 33 and 17 µm, and "rendered" is worse than "off" in 23 slides.
     let SlideStatistics { medians: [off, paper, rendered], .. } = random_slides(FINE_COUNTS_PER_TURN);
@@ -36,8 +36,8 @@ fn the_rendered_wall_is_flattest_except_on_coarse_encoders() {
     assert!((8..=40).contains(&worse), "{worse}");
 }
 
-/// Returns the largest distance (µm) of the tip from a wall of 10 kN/m on the simulated board while the tip slides
-/// along the wall at -0.5 m/s, 50 to 80 ms after the push, when the transient has died away.
+/// Slides the tip along a wall of 10 kN/m at -0.5 m/s on the simulated board. Returns the largest distance (µm) of the
+/// tip from the wall 50 to 80 ms after the push, when the transient has died away.
 fn distance_on_simulated_board(terms: VelocityTerms) -> f64 {
     let mut file = shipped_device("coupled-five-bar");
     for joint in &mut file.description.joints[..2] {
@@ -83,8 +83,8 @@ fn the_simulated_board_renders_a_wall_to_a_sliding_tip() {
 
 #[test]
 fn velocity_terms_hardly_change_the_stability_of_a_slide() {
-    // At rest all laws of (4) are equal. Their limit is that of the sampled loop without delay, by independent
-    // eigenvalues: 23 649.454 N/m with and 18 379.424 N/m without the feed-forward.
+    // At rest all laws of (4) are equal. Independent eigenvalues of the loop without delay have a limit of 23 649.454
+    // N/m with and 18 379.424 N/m without the feed-forward.
     assert!((max_stiffness_while_sliding(0.0, None) / 18_379.424 - 1.0).abs() < 1e-4);
     for terms in VELOCITY_TERMS {
         assert!((max_stiffness_while_sliding(0.0, Some(terms)) / 23_649.454 - 1.0).abs() < 1e-4, "{terms:?}");
@@ -114,7 +114,7 @@ fn velocity_terms_hardly_change_the_stability_of_a_slide() {
 #[test]
 fn the_feed_forward_does_not_resist_a_push_along_the_wall() {
     let (off, full) = (push_distance(FeedForward::Off), push_distance(FeedForward::Full));
-    // An independent plant and law have a ratio of 1.35.
+    // In an independent simulation the distance with the feed-forward is 1.35 times the distance without.
     assert!((1.2..1.5).contains(&(full / off)), "{full} and {off} m");
 }
 
@@ -132,7 +132,7 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
 }
 
 #[test]
-fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
+fn gains_kept_by_wrong_models_agree_with_numpy() {
     // Computed in numpy: number of cases, percentage of cases that keep less than seven eighths of the gain, smallest
     // and largest percentage kept. M and J are differences of the links' positions, computed by intersecting circles.
     const NUMPY_REFERENCE: [(usize, [f64; 3]); 6] = [

@@ -33,7 +33,7 @@ impl SlidingLoop {
     /// Returns the loop's matrix over one sample at a speed along the wall (m/s). States: joint angles and speeds,
     /// last angles, and two filter states each for the wall's and the joints' velocities.
     fn loop_matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
-        const H: f64 = 1.0e-5;
+        const DIFFERENCE_STEP: f64 = 1.0e-5;
         let m = &self.mechanism;
         let (q0, n, t) = (Vector2::from(self.q), unit_vector(self.normal), unit_vector(self.normal + 90.0));
         let pose = m.pose::<Libm>(&q0);
@@ -41,8 +41,8 @@ impl SlidingLoop {
         let by = |f: &dyn Fn(&Vector2<f64>) -> Vector2<f64>, at: &Vector2<f64>| {
             let column = |i: usize| {
                 let mut h = Vector2::zeros();
-                h[i] = H;
-                (f(&(at + h)) - f(&(at - h))) / (2.0 * H)
+                h[i] = DIFFERENCE_STEP;
+                (f(&(at + h)) - f(&(at - h))) / (2.0 * DIFFERENCE_STEP)
             };
             Matrix2::from_columns(&[column(0), column(1)])
         };

@@ -63,7 +63,7 @@ fn the_coupling_picture_is_drawn_by_its_command() {
 }
 
 /// Returns the numbers after `key`.
-fn numbers_after(text: &str, key: &str) -> Vec<f64> {
+fn numbers_after_key(text: &str, key: &str) -> Vec<f64> {
     let value = text.split_once(key).unwrap_or_else(|| panic!("{key} in {text}")).1.split('"').next().unwrap();
     let words = value.split(|c: char| c.is_whitespace() || c.is_alphabetic()).filter(|word| !word.is_empty());
     words.map(|word| word.parse().unwrap()).collect()
@@ -85,7 +85,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut outline_start = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {
-            let steps = numbers_after(&format!("d=\"{outline}\""), "d=\"");
+            let steps = numbers_after_key(&format!("d=\"{outline}\""), "d=\"");
             let mut pen = outline_start;
             for (index, step) in steps.chunks_exact(2).enumerate() {
                 pen = [pen[0] + step[0] / 10.0, pen[1] + step[1] / 10.0];

@@ -13,8 +13,8 @@ use resvg::tiny_skia::Pixmap;
 
 /// Pixels of the PNG per unit of the drawing.
 const PIXELS_PER_UNIT: f64 = 2.0;
-/// Largest difference between drawn and computed share, relative to the scale: one colour level from rounding, two
-/// within a tile, and three for changes within the searched pixels.
+/// Largest error of the coupling's share that a colour shows, relative to the scale: one colour step from rounding, two
+/// within a tile, and three within the searched pixels.
 const TOLERANCE: f64 = 0.06;
 /// Largest distance of the expected colour from a pose's place, pixels: half the width of a drawn ellipse or link.
 const SEARCH_PIXELS: i32 = 6;
@@ -123,7 +123,7 @@ fn check_colours(file: &DeviceFile, normal: &[f64], admissible: Admissible, char
             continue;
         }
         let Some(found) = evaluate_share(file, &q, normal, admissible) else { continue };
-        if found.regular < 0.2 || !is_reachable_straight(file, &q, normal, home.side) {
+        if found.regular < 0.2 || !is_straight_path_regular(file, &q, normal, home.side) {
             continue;
         }
         compared += 1;
@@ -194,7 +194,7 @@ fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], admissible: Admi
 }
 
 /// Returns true if the straight path from home in joint angles stays regular, so that the pose is reachable.
-fn is_reachable_straight(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
+fn is_straight_path_regular(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
     let mut home = file.description.home.unwrap()[..q.len()].to_vec();
     if matches!(file.description.kind, Kind::FiveBarTurret | Kind::Parallelogram) {
         home[0] = 0.0;

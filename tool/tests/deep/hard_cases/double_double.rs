@@ -1,8 +1,8 @@
 //! Numbers of 106 bits: the reference where double precision may be too coarse.
 //!
 //! A double-double is the unevaluated sum of two doubles (Dekker 1971; the algorithms of Hida, Li and Bailey 2000). The
-//! library is generic over its scalar, so the same equations run in these numbers; sine and cosine are Taylor series
-//! after a reduction by π/2, square roots one Newton step. Relative error of the operations is about 1e-31.
+//! library is generic over its scalar, so the same equations run in these numbers. Sine and cosine are Taylor series
+//! after a reduction by π/2. Square roots take one Newton step. The relative error is about 1e-31.
 
 use haptic_bridge::math::{Math, Real};
 use num_traits::{Num, One, Zero};

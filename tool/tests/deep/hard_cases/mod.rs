@@ -21,7 +21,7 @@ use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::SMatrix;
 use rows::routes::inverse;
 use rows::singular::{Random, Target};
-use rows::{FILTERS, SINGULAR};
+use rows::{FILTER_ROWS, SINGULAR_ROWS};
 use std::sync::LazyLock;
 
 static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all_rows);
@@ -36,7 +36,7 @@ const MECHANISMS: [(&str, &str); 4] = [
 ];
 
 /// Returns the description of a shipped device to the modules in tests/hard_cases.
-fn shipped(name: &str) -> Description {
+fn shipped_device(name: &str) -> Description {
     crate::common::shipped_device(name).description
 }
 
@@ -44,15 +44,15 @@ fn shipped(name: &str) -> Description {
 #[test]
 fn the_reference_inverts_to_thirty_digits() {
     let mut random = Random(5);
-    let m = SMatrix::<Exact, 3, 3>::from_fn(|_, _| random.within(-1.0, 1.0).into());
+    let m = SMatrix::<Exact, 3, 3>::from_fn(|_, _| random.uniform(-1.0, 1.0).into());
     let rest = m * inverse(&m) - SMatrix::identity();
     assert!(rest.iter().all(|x| x.high.abs() < 1e-28), "{rest:?}");
 }
 
 #[test]
 fn double_precision_keeps_five_digits_everywhere() {
-    assert_eq!(SINGULAR.len(), 56, "eight ways into a singularity, seven rows each");
-    for row in &*SINGULAR {
+    assert_eq!(SINGULAR_ROWS.len(), 56, "eight ways into a singularity, seven rows each");
+    for row in &*SINGULAR_ROWS {
         for error in [row.double.w_rr_kernel, row.double.torque, row.double.torque_moving] {
             assert!(error < 1e-5, "{row:?}");
         }
@@ -61,21 +61,21 @@ fn double_precision_keeps_five_digits_everywhere() {
 
 #[test]
 fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
-    for row in &*SINGULAR {
+    for row in &*SINGULAR_ROWS {
         // Ten digits are correct where the feed-forward acts.
         let most = if matches!(row.target, Target::Sine(_)) { 1e-10 } else { 1e-5 };
-        for error in row.whole.all() {
+        for error in row.quantities.all() {
             assert!(error < most, "{row:?}");
         }
         // A serial singularity does not affect Weff.
-        assert!(!is_serial(&row) || row.whole.w_eff < 1e-12, "{row:?}");
+        assert!(!is_serial(&row) || row.quantities.w_eff < 1e-12, "{row:?}");
     }
 }
 
 #[test]
 fn all_formulas_agree_in_106_bits() {
-    // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
-    let rows: Vec<_> = SINGULAR.iter().filter(|row| row.regularity > 2e-6).collect();
+    // Closer than 1e-6 to a singularity the closed form clamps its reciprocals on purpose.
+    let rows: Vec<_> = SINGULAR_ROWS.iter().filter(|row| row.regularity > 2e-6).collect();
     assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
     for row in rows {
         assert!(row.reference < 1e-13, "{row:?}");
@@ -84,7 +84,7 @@ fn all_formulas_agree_in_106_bits() {
 
 #[test]
 fn in_106_bits_both_forms_of_a_filter_agree() {
-    for row in &*FILTERS {
+    for row in &*FILTER_ROWS {
         assert!(row.reference < 1e-12, "{row:?}");
     }
 }
@@ -96,8 +96,8 @@ fn encoder_steps_cause_larger_errors_than_f32() {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
         // Measured errors are up to 0.4 of the terms at 20 000 counts, mostly from slow joints, because the terms
-        // subtract the uncertainty of a count. With finer counts the error falls with the square. The pose adds a count
-        // (3e-4 rad) times the few units by which torques change per radian.
+        // subtract the uncertainty of a count. The error falls with the square of the size of a count. The error of the
+        // pose, one count (3e-4 rad), changes torques by a few times 3e-4.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");
@@ -126,7 +126,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
 const MAX_RATIO: f64 = 4.0;
 
 /// Returns true if two words of a table are equal or are numbers within a factor of [`MAX_RATIO`] ("lost" counts as 1).
-fn is_same(shown: &str, computed: &str) -> bool {
+fn words_agree(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {
         (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < MAX_RATIO * b && b < MAX_RATIO * a),
@@ -143,7 +143,7 @@ fn the_tables_hold_the_computed_errors() {
         assert_eq!(published.lines().count(), computed.lines().count(), "{path}");
         for (number, (shown, computed)) in published.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
-            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| words_agree(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);
         }
     }

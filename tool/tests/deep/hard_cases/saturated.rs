@@ -1,14 +1,14 @@
 //! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
-use super::shipped;
+use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
 use nalgebra::SVector;
 
-const POSES: usize = 12;
+const POSES_PER_ROW: usize = 12;
 /// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 20_000.0;
 
@@ -22,7 +22,7 @@ pub struct Row {
     pub beyond: f64,
     /// Largest error of the force along the normal as a share of the largest force, without and with the feed-forward.
     pub along: [f64; 2],
-    /// Largest force across the normal, as the same share, without the feed-forward. No such force is requested.
+    /// Largest force across the normal without the feed-forward, as a share of the largest force. The request is 0.
     pub across: f64,
 }
 
@@ -35,7 +35,7 @@ fn row_of<M: Mechanism<f64, N>, const N: usize>(
     let mut random = Random(23);
     let mut row = Row { device: name, sines, beyond: 0.0, along: [0.0; 2], across: 0.0 };
     let mut poses = 0;
-    while poses < POSES {
+    while poses < POSES_PER_ROW {
         let q: SVector<f64, N> = random.vector(3.1);
         let mut n: SVector<f64, N> = random.normal(M::SPEC.task);
         let pose = m.pose::<Libm>(&q);
@@ -91,7 +91,7 @@ pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        let mut device = shipped(file);
+        let mut device = shipped_device(file);
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // The current limit is so large that only the torque limit acts.

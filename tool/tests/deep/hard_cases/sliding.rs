@@ -7,7 +7,7 @@ use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE_HZ, controller, pad_to_three, scene, with_encoders};
-use super::shipped;
+use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
@@ -17,11 +17,11 @@ pub const COUNTS_PER_TURN: [f64; 2] = [20_000.0, 1_048_576.0];
 /// Speed of the tip along the wall, m/s.
 const SLIDING_SPEED: f64 = 0.5;
 /// Number of slides per row.
-const RUNS: usize = 10;
+const SLIDES_PER_ROW: usize = 10;
 /// Control steps until the estimator has settled.
 const SETTLING_STEPS: u32 = 600;
-/// Control steps of a run. The last 20 ms are compared.
-const STEPS: u32 = 1_000;
+/// Control steps of a slide. The last 20 ms are compared.
+const STEPS_PER_SLIDE: u32 = 1_000;
 
 /// A row of docs/hard-cases/velocity-terms.csv.
 #[derive(Clone, Debug)]
@@ -32,11 +32,11 @@ pub struct Row {
     pub size: f64,
     /// Error of f32 against f64 with the same counts, as a share of the largest torque.
     pub rounding: f64,
-    /// Error of f32 against true angles and velocities, for each of [`COUNTS_PER_TURN`], as the same share.
+    /// Error of f32 against true angles and velocities, per [`COUNTS_PER_TURN`], as a share of the largest torque.
     pub estimated: [f64; 2],
 }
 
-/// Computes the torques for the wall force f along n with true velocities, and without the velocity terms.
+/// Computes the torques for the wall force f along n with and without the velocity terms, from true velocities.
 fn exact_torques<M: Mechanism<DoubleDouble, N>, const N: usize>(
     m: &M,
     q: &SVector<DoubleDouble, N>,
@@ -86,7 +86,7 @@ where
     let mut random = Random(19);
     let mut row = Row { device: name, terms, size: 0.0, rounding: 0.0, estimated: [0.0; 2] };
     let mut runs = 0;
-    while runs < RUNS {
+    while runs < SLIDES_PER_ROW {
         let start: SVector<f64, N> = random.vector(3.1);
         let (n, mut t): (SVector<f64, N>, SVector<f64, N>) = (random.normal(task), random.normal(task));
         let pose = double.pose::<Libm>(&start);
@@ -99,7 +99,7 @@ where
         let qd = double.inverse(&pose, &(t / t.norm() * SLIDING_SPEED));
         // The feed-forward acts in full along the complete path.
         let regular = |k: u32| {
-            let q = start + qd * (f64::from(STEPS) / RATE_HZ * f64::from(k) / 10.0);
+            let q = start + qd * (f64::from(STEPS_PER_SLIDE) / RATE_HZ * f64::from(k) / 10.0);
             let r = double.regularity(&double.pose::<Libm>(&q));
             r.serial.min(r.parallel) > 0.2
         };
@@ -124,7 +124,7 @@ where
             let mut exact = controller::<f64, Libm, _, N>(double, &device, &scene_f64);
             let mut found = controller::<f32, BoardMath, _, N>(board, &device, &scene_f32);
             let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
-            for step in 0..STEPS {
+            for step in 0..STEPS_PER_SLIDE {
                 let q = start + qd * (f64::from(step) / RATE_HZ);
                 let counts = q.map(|x| (x / std::f64::consts::TAU * counts_per_turn).round() as i32).into();
                 let (a, b) = (exact.step(&counts), found.step(&counts));
@@ -155,7 +155,7 @@ pub fn all_rows() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         // Leave out the weight, which would add the same torque to both results.
-        let mut device = with_encoders(&shipped(file));
+        let mut device = with_encoders(&shipped_device(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })

@@ -43,13 +43,13 @@ fn missing_rows(recording: &Recording) -> u64 {
 }
 
 /// Returns the number before this word.
-fn number_before(text: &str, word: &str) -> u64 {
+fn number_before_word(text: &str, word: &str) -> u64 {
     let before = text.split(word).next().unwrap().trim_end();
     before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
 }
 
 /// Waits until the board accepts another tool after the last one ended.
-fn wait_until_free(sim: &Sim) {
+fn wait_until_board_is_free(sim: &Sim) {
     wait_until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
 }
 
@@ -73,7 +73,7 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             assert!(before.rows.len() > 50, "{}", before.rows.len());
             assert_eq!(missing_rows(&before), 0);
             std::fs::remove_file(&csv).unwrap();
-            wait_until_free(&sim);
+            wait_until_board_is_free(&sim);
             let assert = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
             let message = String::from_utf8_lossy(&assert.success().get_output().stderr).into_owned();
             assert!(message.contains("none lost"), "{message}");
@@ -139,9 +139,9 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(0), "{text}");
     let recording = Recording::load(&csv).unwrap();
-    assert_eq!(number_before(&text, "lost ("), missing_rows(&recording), "{text}");
-    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
-    let dropped = number_before(&text, "dropped by the board");
+    assert_eq!(number_before_word(&text, "lost ("), missing_rows(&recording), "{text}");
+    assert_eq!(number_before_word(&text, "rows are in"), recording.rows.len() as u64, "{text}");
+    let dropped = number_before_word(&text, "dropped by the board");
     assert_eq!(dropped, missing_rows(&recording), "not all rows are reported as dropped by the board: {text}");
 }
 
@@ -174,7 +174,7 @@ fn an_interrupted_recording_is_complete_and_obeys_the_rules() {
             // Wait for a second of the board's time, after which the board must still be armed.
             sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
-        wait_until_free(&sim);
+        wait_until_board_is_free(&sim);
         sim.wait_for_state(|now| now == state);
     }
     sim.run(&["faults"]).success().stdout(contains("host"));
@@ -196,7 +196,7 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         send_signal(&tool, how);
         let (code, text) = wait_for_exit(tool);
         assert!(how == "KILL" || code == Some(0), "{text}");
-        wait_until_free(&sim);
+        wait_until_board_is_free(&sim);
         sim.wait_for_state(|now| now == state);
         sim.run(&["faults", "--clear"]).success();
     }
@@ -222,7 +222,7 @@ fn measurement_line<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Starts a measurement and waits for its first result. Starts again if a busy computer made the tool silent too long.
+/// Starts a measurement and waits for its first result. Starts again if the tool was silent too long.
 fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {
@@ -233,7 +233,7 @@ fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
             return tool;
         }
         let errors = wait_for_exit(tool).1;
-        wait_until_free(sim);
+        wait_until_board_is_free(sim);
         assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{errors}");
         sim.run(&["faults", "--clear"]).success();
     }
@@ -249,7 +249,7 @@ fn an_interrupted_measurement_turns_the_motors_off() {
     send_signal(&tool, "INT");
     let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(1), "{text}");
-    assert!(text.contains("motors are off") && text.contains("to go on where it stopped"), "{text}");
+    assert!(text.contains("motors are off") && text.contains("to continue where it stopped"), "{text}");
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
     assert_eq!(sim.output(&["rules"]), before, "the rules are restored");
 }
@@ -267,7 +267,7 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     let device = shipped_path("coupled-five-bar.toml");
     let first = measurement_line(&device, "--kd=5,15,25", &one);
     kill_tool(start_measurement(&sim, &first, &one));
-    wait_until_free(&sim);
+    wait_until_board_is_free(&sim);
     sim.wait_for_state(|state| state != "Armed");
     let state_after_kill = board_state();
     assert_ne!(state_after_kill.0, before.0, "the killed measurement had not changed the scene");
@@ -276,13 +276,13 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     // A measurement with another file cannot restore the scene.
     let (_, text) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
     assert!(text.contains("left by an interrupted measurement") && text.contains("load your scene again"), "{text}");
-    wait_until_free(&sim);
+    wait_until_board_is_free(&sim);
     assert_ne!(board_state().0, before.0);
     // If the device has not moved, the same command line continues the measurement and restores the scene.
     let (_, text) = wait_for_exit(sim.spawn(&first));
     assert!(text.contains("the earlier scene is restored") && !text.contains("are not restored"), "{text}");
     assert!(text.contains("of 3 repeats are in"), "{text}");
-    wait_until_free(&sim);
+    wait_until_board_is_free(&sim);
     assert_eq!(board_state(), before);
     assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));
 }

@@ -19,7 +19,7 @@ struct Page {
 
 impl Page {
     /// Connects a page and takes command.
-    fn in_command(view: &View) -> Self {
+    fn connect_and_take_command(view: &View) -> Self {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
@@ -80,7 +80,7 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     let socket = Socket::empty();
     socket.plug(&["--scene", &wall]);
     let view = View::start(&["--port", &socket.address]);
-    let mut page = Page::in_command(&view);
+    let mut page = Page::connect_and_take_command(&view);
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();

@@ -100,9 +100,9 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
-/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. Computed from eigenvalues of a
-/// loop that shares no code with this one, not even the five-bar's geometry, at 400 stiffnesses up to 20 kN/m. None
-/// above the limit is stable again.
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. The values are from eigenvalues
+/// of a loop that shares no code with this one, not even the five-bar's geometry, at 400 stiffnesses up to 20 kN/m. No
+/// stiffness above the limit is stable.
 const INDEPENDENT_LIMITS: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
 
 #[test]

@@ -45,7 +45,7 @@ fn a_measurement_is_reported_kept_and_continued() {
     let dampings: Vec<f64> = report["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((dampings, report["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
     let date = report["date"].as_str().unwrap().to_string();
-    // Results at one rate are not mixed with another rate.
+    // Results at different rates are not mixed.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
@@ -182,14 +182,14 @@ fn coarse_encoders_are_reported_with_the_stable_part() {
     run_line(&line, &[])
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
-        .stderr(contains("saturate").and(contains("--counts")));
-    // If even the soft hold cannot be measured, the device is not moved.
+        .stderr(contains("too weak for these encoders").and(contains("--counts")));
+    // If the motors are too weak even for a soft hold, the device is not moved.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
-    run_line(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
+    run_line(&line, &[]).code(1).stdout("").stderr(contains("too weak for these encoders"));
 }
 
 #[test]
-fn options_of_simulations_are_refused_elsewhere() {
+fn simulation_options_are_refused_for_other_ports() {
     run_line(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
         .code(2)
         .stderr(contains("--port sim"));

@@ -25,15 +25,15 @@ fn with_pressed_wall<T>(
     work(&PressedWall { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
 }
 
-/// Returns the largest damping, in steps of 10 % from `least`, up to which a wall's ripple is within the bound, N s/m.
-fn clean_damping(pressed: &PressedWall<'_>, kp: f64, least: f64) -> f64 {
+/// Returns the largest damping, N s/m, up to which a wall's ripple is within the bound, in steps of 10 % from `least`.
+fn max_quiet_damping(pressed: &PressedWall<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
     let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().is_within(RIPPLE_BOUND_N);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
-/// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable, N/m.
-fn clean_spring(rate_hz: f64) -> (f64, f64) {
+/// Returns the largest stiffness, N/m, of a quiet and of a stable undamped spring in a relaxed hand.
+fn spring_limits(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     with_pressed_wall(
         "phantom-premium-1.5",
@@ -52,11 +52,11 @@ fn clean_spring(rate_hz: f64) -> (f64, f64) {
 
 #[test]
 fn stiffness_grows_far_less_than_the_rate() {
-    let [slow, usual] = [250.0, 1_000.0].map(|rate| (rate, clean_spring(rate)));
+    let [slow, usual] = [250.0, 1_000.0].map(|rate| (rate, spring_limits(rate)));
     for ((from, slow), rate, least, most) in
         [(slow, 1_000.0, 2.0, 4.5), (slow, 40_000.0, 2.5, 6.0), (usual, 20_000.0, 1.0, 1.1)]
     {
-        let found = clean_spring(rate);
+        let found = spring_limits(rate);
         let (gained, rigid) = (found.0 / slow.0, found.1 / slow.1);
         assert!((rigid / (rate / from) - 1.0).abs() < 0.1, "rigid theory is not proportional to {rate} Hz: {rigid}");
         assert!((least..most).contains(&gained), "{rate}: {gained}");
@@ -69,7 +69,7 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
         let estimator = LinearEstimator::BackwardDifference;
         with_pressed_wall("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let theory = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().kd_max;
-            (clean_damping(pressed, 1_000.0, 0.5), theory)
+            (max_quiet_damping(pressed, 1_000.0, 0.5), theory)
         })
     };
     let (slow, fast) = (of(1_000.0), of(10_000.0));
@@ -78,11 +78,11 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
 }
 
 #[test]
-fn a_slower_velocity_keeps_the_damping_of_a_slow_loop() {
+fn velocities_over_ten_samples_keep_the_damping_of_a_slow_loop() {
     let of = |rate, estimator| {
         with_pressed_wall("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let area = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().area;
-            (clean_damping(pressed, 1_000.0, 0.05), area)
+            (max_quiet_damping(pressed, 1_000.0, 0.05), area)
         })
     };
     let bare = LinearEstimator::BackwardDifference;

@@ -1,5 +1,5 @@
 //! `haptic range` of several walls on a compliant device in a hand. One wall given twice equals the wall, infinitely
-//! stiff cables equal none, and sets of walls have the limits of loops of separate motors, links and a hand.
+//! stiff cables equal no cables, and sets of walls have the limits of loops of separate motors, links and a hand.
 
 use crate::common::bodies::{Bodies, CUTOFF_HZ, RATE_HZ};
 use crate::common::prelude::*;

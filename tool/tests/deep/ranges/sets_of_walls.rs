@@ -14,11 +14,11 @@ use nalgebra::SVector;
 const RATE_HZ: f64 = 1_000.0;
 
 /// Returns the unit vector at this angle, rad.
-fn unit(angle: f64) -> Vec<f64> {
+fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
-fn normalised(v: &[f64]) -> Vec<f64> {
+fn normalise(v: &[f64]) -> Vec<f64> {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     v.iter().map(|x| x / length).collect()
 }
@@ -26,8 +26,8 @@ fn normalised(v: &[f64]) -> Vec<f64> {
 /// One wall: unit normal, and share of the total stiffness and damping.
 type Facet = (Vec<f64>, f64);
 
-fn facets_around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
-    facets.iter().map(|(degrees, share)| (unit(middle + degrees.to_radians()), *share)).collect()
+fn facets_at_angles(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
+    facets.iter().map(|(degrees, share)| (unit_vector(middle + degrees.to_radians()), *share)).collect()
 }
 
 /// A run with walls through the tip, pressed by a hand or after an impact of 2 cm/s.
@@ -42,7 +42,7 @@ struct WallRun<'a> {
     push: Option<[f64; 3]>,
     hand: HandSettings,
     velocity_terms: VelocityTerms,
-    /// True to add b as estimated, without fading.
+    /// True to add the estimated velocity terms b without fading.
     unfaded: bool,
     /// A spring: anchor relative to the tip's start, m, direction of its line (zero for a point), and stiffness, N/m.
     spring: Option<([f64; 3], [f64; 3], f64)>,
@@ -52,13 +52,13 @@ impl WallRun<'_> {
     /// Returns the peak-to-peak torque in the last tenth of a second, N m.
     fn torque_swing(&self, walls: &[Facet]) -> f64 {
         match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
-            AnyMechanism::FiveBar(m) => self.swing_of::<FiveBar<f32>, 2>(m, walls),
-            AnyMechanism::Parallelogram(m) => self.swing_of::<Parallelogram<f32>, 3>(m, walls),
+            AnyMechanism::FiveBar(m) => self.compute_swing::<FiveBar<f32>, 2>(m, walls),
+            AnyMechanism::Parallelogram(m) => self.compute_swing::<Parallelogram<f32>, 3>(m, walls),
             other => panic!("no test of this file uses {other:?}"),
         }
     }
 
-    fn swing_of<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
+    fn compute_swing<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
         let mut description = self.file.description;
         description.gravity = [0.0; 3];
         for joint in &mut description.joints {
@@ -143,9 +143,9 @@ fn demo_run(file: &DeviceFile, feed_forward: FeedForward) -> WallRun<'_> {
 }
 
 /// Largest torque swing of a quiet wall, N m: a few encoder steps times 20 kN/m.
-const QUIET_NM: f64 = 0.05;
+const QUIET_SWING_NM: f64 = 0.05;
 /// Smallest torque swing of an unstable wall, N m. An unstable wall uses all 2 N m of the motors.
-const LOUD_NM: f64 = 1.0;
+const UNSTABLE_SWING_NM: f64 = 1.0;
 
 #[test]
 fn a_wall_cut_into_facets_is_as_quiet_as_one_wall() {
@@ -160,12 +160,12 @@ fn a_wall_cut_into_facets_is_as_quiet_as_one_wall() {
             vec![(-5.0, 1.0), (0.0, 2.0), (5.0, 1.0)],
             vec![(-1.0, 9.0), (8.0, 1.0)],
         ] {
-            let swing = demo_run(&file, feed_forward).torque_swing(&facets_around(middle, &facets));
-            assert!(swing < QUIET_NM, "{facets:?}: {swing} N m");
+            let swing = demo_run(&file, feed_forward).torque_swing(&facets_at_angles(middle, &facets));
+            assert!(swing < QUIET_SWING_NM, "{facets:?}: {swing} N m");
         }
     }
-    let swing = demo_run(&file, FeedForward::Off).torque_swing(&facets_around(middle, &[(0.0, 1.0)]));
-    assert!(swing > LOUD_NM, "without the feed-forward this wall must swing: {swing} N m");
+    let swing = demo_run(&file, FeedForward::Off).torque_swing(&facets_at_angles(middle, &[(0.0, 1.0)]));
+    assert!(swing > UNSTABLE_SWING_NM, "without the feed-forward this wall must swing: {swing} N m");
 }
 
 /// The hand is so light that the same press swings without the feed-forward.
@@ -178,19 +178,19 @@ fn pressed_unilateral_facets_are_quiet() {
     for facets in [vec![(0.0, 1.0)], vec![(-1.0, 1.0), (1.0, 1.0)], vec![(-5.0, 1.0), (5.0, 1.0)]] {
         let swing = |feed_forward| {
             let run = WallRun { bilateral: false, push, hand, ..demo_run(&file, feed_forward) };
-            run.torque_swing(&facets_around(middle, &facets))
+            run.torque_swing(&facets_at_angles(middle, &facets))
         };
         for feed_forward in [FeedForward::Full, FeedForward::Washout] {
             let swing = swing(feed_forward);
-            assert!(swing < QUIET_NM, "{facets:?} {feed_forward:?}: {swing} N m");
+            assert!(swing < QUIET_SWING_NM, "{facets:?} {feed_forward:?}: {swing} N m");
         }
         let without = swing(FeedForward::Off);
-        assert!(without > 10.0 * QUIET_NM, "{facets:?} without the feed-forward: {without} N m");
+        assert!(without > 10.0 * QUIET_SWING_NM, "{facets:?} without the feed-forward: {without} N m");
     }
 }
 
-/// Near a stretched arm b grows as 1/sin³ and its estimate is late. Without fading, b pushes a pressed tip further into
-/// the singularity, and the tip never settles.
+/// Near a stretched arm the velocity terms b grow as 1/sin³, and their estimate is late. Without fading, b pushes a
+/// pressed tip further into the singularity, and the tip never settles.
 #[test]
 fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
     let file = shipped_device("coupled-five-bar");
@@ -200,26 +200,26 @@ fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
         let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
         let swing = |velocity_terms, unfaded| {
             let run = WallRun { bilateral: false, push, velocity_terms, unfaded, ..demo_run(&file, FeedForward::Full) };
-            run.torque_swing(&facets_around(middle, &[(0.0, 1.0)]))
+            run.torque_swing(&facets_at_angles(middle, &[(0.0, 1.0)]))
         };
         let in_full = swing(VelocityTerms::Off, true);
-        assert!(in_full > LOUD_NM, "{aim} m, without fading: {in_full} N m");
+        assert!(in_full > UNSTABLE_SWING_NM, "{aim} m, without fading: {in_full} N m");
         for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
             let faded = swing(terms, false);
-            assert!(faded < QUIET_NM, "{aim} m, {terms:?}: {faded} N m");
+            assert!(faded < QUIET_SWING_NM, "{aim} m, {terms:?}: {faded} N m");
         }
     }
 }
 
-/// A press along the normal also slides the tip along the wall: at 75° by 18 mm, to an elbow 6° from stretched, where b
-/// grows as 1/sin³ and its estimate is too late.
+/// A press along the normal also slides the tip along the wall. At 75° it slides 18 mm, until an elbow is 6° from
+/// stretched, where the velocity terms grow as 1/sin³ and their estimate is too late.
 #[test]
 fn velocity_terms_keep_quiet_presses_quiet() {
     let file = shipped_device("coupled-five-bar");
     let (mut pressed, mut quiet) = (0, 0);
     for stiffness in [2_000.0, 10_000.0, 15_000.0, 20_000.0] {
         for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-            let normal = unit(f64::to_radians(degrees));
+            let normal = unit_vector(f64::to_radians(degrees));
             for aim in [0.005, 0.01, 0.015, 0.02] {
                 let swing = |velocity_terms| {
                     let push = Some([-aim * normal[0], -aim * normal[1], 0.0]);
@@ -229,12 +229,12 @@ fn velocity_terms_keep_quiet_presses_quiet() {
                     run.torque_swing(&[(normal.clone(), 1.0)])
                 };
                 pressed += 1;
-                if swing(VelocityTerms::Off) < QUIET_NM {
+                if swing(VelocityTerms::Off) < QUIET_SWING_NM {
                     quiet += 1;
                     for terms in [VelocityTerms::default(), VelocityTerms::Paper] {
                         let swing = swing(terms);
                         let press = format!("{stiffness} N/m, normal at {degrees}°, aim {aim} m, {terms:?}");
-                        assert!(swing < QUIET_NM, "{press}: {swing} N m");
+                        assert!(swing < QUIET_SWING_NM, "{press}: {swing} N m");
                     }
                 }
             }
@@ -246,18 +246,18 @@ fn velocity_terms_keep_quiet_presses_quiet() {
 #[test]
 fn the_feed_forward_keeps_stable_corners_quiet() {
     let file = shipped_device("coupled-five-bar");
-    // A right-angled corner of 2 x 8 kN/m, an acute corner, and a stiff wall with a second wall of a hundredth of it.
+    // A right-angled corner of 2 x 8 kN/m, an acute corner, and a stiff wall with a second wall 100 times softer.
     for (angles, stiffness) in [
         (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
         (vec![(75.0, 1.0), (15.0, 1.0)], 12_000.0),
         (vec![(75.0, 1.0), (165.0, 0.01)], 15_000.0),
         (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
     ] {
-        let walls = facets_around(0.0, &angles);
+        let walls = facets_at_angles(0.0, &angles);
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             let run = WallRun { stiffness, damping: 0.002 * stiffness, ..demo_run(&file, feed_forward) };
             let swing = run.torque_swing(&walls);
-            assert!(swing < QUIET_NM, "{angles:?} {feed_forward:?}: {swing} N m");
+            assert!(swing < QUIET_SWING_NM, "{angles:?} {feed_forward:?}: {swing} N m");
         }
     }
 }
@@ -274,7 +274,7 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
         (165.0, 90.0, 2_000.0, 6_000.0),
         (75.0, -90.0, 2_000.0, 6_000.0),
     ] {
-        let [one, other] = [first, first + between].map(|degrees: f64| unit(degrees.to_radians()));
+        let [one, other] = [first, first + between].map(|degrees: f64| unit_vector(degrees.to_radians()));
         for light in [0.02, 0.1] {
             let push = Some([0, 1, 2].map(|i| if i < 2 { -0.02 * (one[i] + light * other[i]) } else { 0.0 }));
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
@@ -287,7 +287,7 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
                     ..demo_run(&file, feed_forward)
                 };
                 let swing = run.torque_swing(&[(one.clone(), k1), (other.clone(), k2)]);
-                assert!(swing < QUIET_NM, "{first}° {between}° {k1} {k2} {light} {feed_forward:?}: {swing} N m");
+                assert!(swing < QUIET_SWING_NM, "{first}° {between}° {k1} {k2} {light} {feed_forward:?}: {swing} N m");
             }
         }
     }
@@ -298,15 +298,15 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
 #[test]
 fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
     let file = shipped_device("coupled-five-bar");
-    let normal = unit(75_f64.to_radians());
+    let normal = unit_vector(75_f64.to_radians());
     for degrees in (0..12).map(|k| 15.0 * f64::from(k)) {
-        let line = unit(f64::to_radians(degrees + 90.0));
+        let line = unit_vector(f64::to_radians(degrees + 90.0));
         for stiffness in [1_000.0, 4_000.0] {
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                 let spring = Some(([0.0; 3], [line[0], line[1], 0.0], stiffness));
                 let run = WallRun { stiffness: 8_000.0, damping: 16.0, spring, ..demo_run(&file, feed_forward) };
                 let swing = run.torque_swing(&[(normal.clone(), 1.0)]);
-                assert!(swing < QUIET_NM, "{degrees}° {stiffness} {feed_forward:?}: {swing} N m");
+                assert!(swing < QUIET_SWING_NM, "{degrees}° {stiffness} {feed_forward:?}: {swing} N m");
             }
         }
     }
@@ -317,7 +317,7 @@ fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
 fn a_light_touch_with_a_stretched_spring_is_quiet() {
     let file = shipped_device("coupled-five-bar");
     for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-        let n = unit(f64::to_radians(degrees));
+        let n = unit_vector(f64::to_radians(degrees));
         let along = |far: f64| [far * n[0], far * n[1], 0.0];
         for far in [-0.02, 0.02] {
             for aim in [-0.021, -0.019, -0.01, 0.0, 0.015] {
@@ -329,7 +329,7 @@ fn a_light_touch_with_a_stretched_spring_is_quiet() {
                 };
                 for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                     let swing = swing(feed_forward);
-                    assert!(swing < QUIET_NM, "{degrees}° {far} {aim} {feed_forward:?}: {swing} N m");
+                    assert!(swing < QUIET_SWING_NM, "{degrees}° {far} {aim} {feed_forward:?}: {swing} N m");
                 }
             }
         }
@@ -345,9 +345,9 @@ fn the_feed_forward_keeps_edges_and_vertices_quiet() {
         (vec![(vec![1.0, 0.0, 0.0], 1.0), (vec![0.0, 1.0, 0.0], 0.3), (vec![0.0, 0.0, 1.0], 0.05)], 2_000.0),
         (
             vec![
-                (normalised(&[0.1, 1.0, 0.0]), 1.0),
-                (normalised(&[-0.1, 1.0, 0.1]), 1.0),
-                (normalised(&[0.0, 1.0, -0.1]), 1.0),
+                (normalise(&[0.1, 1.0, 0.0]), 1.0),
+                (normalise(&[-0.1, 1.0, 0.1]), 1.0),
+                (normalise(&[0.0, 1.0, -0.1]), 1.0),
             ],
             2_000.0,
         ),
@@ -355,7 +355,7 @@ fn the_feed_forward_keeps_edges_and_vertices_quiet() {
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             let run = WallRun { q, stiffness, damping: 0.002 * stiffness, ..demo_run(&file, feed_forward) };
             let swing = run.torque_swing(&walls);
-            assert!(swing < QUIET_NM, "{walls:?} {feed_forward:?}: {swing} N m");
+            assert!(swing < QUIET_SWING_NM, "{walls:?} {feed_forward:?}: {swing} N m");
         }
     }
 }

@@ -10,7 +10,7 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::map::effective_inertias;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
-const ADMISSIBLE: Admissible = Admissible::Orientation;
+const ADMISSIBLE_SET: Admissible = Admissible::Orientation;
 
 fn control_loop() -> Loop {
     Loop::with_torque_path(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
@@ -46,7 +46,7 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
         let description = shipped_device(name).description;
         let device = Linearised::at(&description, &q, &n).unwrap();
         let mobility = device.mass.clone().try_inverse().unwrap();
-        let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
+        let found = sensitivities(&description, &q, &n, ADMISSIBLE_SET, &control_loop()).unwrap();
         for j in 0..q.len() {
             let change = CHANGE * description.joints[j].inertia;
             let pull = (&mobility * &device.row)[j];
@@ -72,7 +72,7 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
 fn a_longer_link_leaves_the_tip_where_it_is() {
     let description = shipped_device("haply-2diy").description;
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
-    let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
+    let found = sensitivities(&description, &q, &n, ADMISSIBLE_SET, &control_loop()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
     // The test's own inverse kinematics move the tip of the wider device to its former place.
     let mut wider = description;
@@ -102,7 +102,7 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
     for name in ["haply-2diy", "coupled-five-bar"] {
         let file = shipped_device(name);
         let clear = 0.4;
-        let found = places(&file.description, Some(&normal), 0.0, clear, 700, ADMISSIBLE, &Sweep::quiet()).unwrap();
+        let found = places(&file.description, Some(&normal), 0.0, clear, 700, ADMISSIBLE_SET, &Sweep::quiet()).unwrap();
         let device = file.device::<f64>().unwrap();
         let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
         let along_n = found.along.clone().unwrap();
@@ -139,7 +139,7 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
 fn a_coarse_grid_has_the_results_of_a_fine_grid() {
     for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
         let description = shipped_device(name).description;
-        let found = |points| places(&description, None, 0.0, 0.3, points, ADMISSIBLE, &Sweep::quiet()).unwrap();
+        let found = |points| places(&description, None, 0.0, 0.3, points, ADMISSIBLE_SET, &Sweep::quiet()).unwrap();
         let (coarse, fine) = (found(coarse), found(fine));
         for found in [&coarse, &fine] {
             let others = [&found.every_direction, &found.feed_forward_buys_most];
@@ -161,7 +161,7 @@ fn a_coarse_grid_has_the_results_of_a_fine_grid() {
 fn a_wide_wall_is_placed_by_its_worst_point() {
     let file = shipped_device("haply-2diy");
     let place_patch = |patch: f64| {
-        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, ADMISSIBLE, &Sweep::quiet())
+        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, ADMISSIBLE_SET, &Sweep::quiet())
             .unwrap()
             .along
             .unwrap()
@@ -175,7 +175,7 @@ fn a_wide_wall_is_placed_by_its_worst_point() {
 fn the_best_posture_equals_the_best_of_all_orientations() {
     let file = shipped_device("serial-3r");
     let (q, n, clear) = ([0.5_f64, 0.8, 0.7], [0.6, 0.8], 0.38);
-    let found = postures(&file.description, &q, &n, clear, ADMISSIBLE).unwrap().unwrap();
+    let found = postures(&file.description, &q, &n, clear, ADMISSIBLE_SET).unwrap().unwrap();
     let [l1, l2, l3, ..] = file.description.geometry;
     let tip = TaskPose::at(&file.description, &q).unwrap().position;
     let normal = unit_normal(&n, 2, 3).unwrap();
@@ -210,5 +210,5 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
     // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
     assert!((max_eff / 0.1139 - 1.0).abs() < 0.01 && (min_eff / 0.0487 - 1.0).abs() < 0.04, "{max_eff} {min_eff}");
     assert!((min_rr / 0.117 - 1.0).abs() < 0.01 && (max_rr / 0.506 - 1.0).abs() < 0.06, "{max_rr} {min_rr}");
-    assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE), Ok(None));
+    assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE_SET), Ok(None));
 }

@@ -11,15 +11,15 @@ use haptic_sim::door::turn_away;
 
 /// Time that a second tool waits for the first to disconnect, so that one command can follow another directly.
 const SECOND_TOOL_WAIT: Duration = Duration::from_millis(500);
-/// Time during which a tool that disarms through another tool's connection receives the board's replies.
+/// Time for which a refused tool receives the replies to its request to disarm.
 const GUEST_REPLY_TIME: Duration = Duration::from_secs(1);
 
-type Disarm = (Vec<u8>, TcpStream);
+type DisarmRequest = (Vec<u8>, TcpStream);
 
 /// The other end of the board's serial port.
 pub trait Outlet {
     /// Returns true if a program holds the port open.
-    fn open(&mut self) -> bool;
+    fn is_open(&mut self) -> bool;
     /// Returns the bytes that the program has written since the last call.
     fn read(&mut self) -> Vec<u8>;
     /// Sends bytes to the program. Bytes that the program does not accept are lost.
@@ -31,9 +31,9 @@ pub trait Outlet {
 pub struct TcpOutlet {
     listener: TcpListener,
     stream: Option<TcpStream>,
-    waiting: Option<(TcpStream, Instant)>,
-    disarm: Sender<Disarm>,
-    disarms: Receiver<Disarm>,
+    second_client: Option<(TcpStream, Instant)>,
+    disarm_sender: Sender<DisarmRequest>,
+    disarm_receiver: Receiver<DisarmRequest>,
     guests: Vec<(TcpStream, Instant)>,
 }
 
@@ -43,8 +43,8 @@ impl TcpOutlet {
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
-        let (disarm, disarms) = channel();
-        Ok(Self { listener, stream: None, waiting: None, disarm, disarms, guests: Vec::new() })
+        let (disarm_sender, disarm_receiver) = channel();
+        Ok(Self { listener, stream: None, second_client: None, disarm_sender, disarm_receiver, guests: Vec::new() })
     }
 
     /// Returns the port number.
@@ -55,17 +55,17 @@ impl TcpOutlet {
 }
 
 impl Outlet for TcpOutlet {
-    fn open(&mut self) -> bool {
-        if self.waiting.is_none() {
-            self.waiting = self.listener.accept().ok().map(|(stream, _)| (stream, Instant::now()));
+    fn is_open(&mut self) -> bool {
+        if self.second_client.is_none() {
+            self.second_client = self.listener.accept().ok().map(|(stream, _)| (stream, Instant::now()));
         }
-        match self.waiting.take() {
+        match self.second_client.take() {
             Some((stream, _)) if self.stream.is_none() => {
                 let usable = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
                 self.stream = usable.then_some(stream);
             }
             Some((stream, since)) if since.elapsed() > SECOND_TOOL_WAIT => {
-                let disarm = self.disarm.clone();
+                let disarm = self.disarm_sender.clone();
                 if stream.set_nonblocking(false).is_ok() {
                     thread::spawn(move || {
                         if let Some(request) = turn_away(&stream) {
@@ -74,13 +74,13 @@ impl Outlet for TcpOutlet {
                     });
                 }
             }
-            waiting => self.waiting = waiting,
+            second_client => self.second_client = second_client,
         }
         self.stream.is_some()
     }
 
     fn read(&mut self) -> Vec<u8> {
-        if let Ok((request, guest)) = self.disarms.try_recv() {
+        if let Ok((request, guest)) = self.disarm_receiver.try_recv() {
             let _ = guest.set_write_timeout(Some(Duration::from_millis(100)));
             self.guests.push((guest, Instant::now()));
             // A zero ends any unfinished frame.
@@ -153,7 +153,7 @@ mod terminal {
     }
 
     impl Outlet for TerminalOutlet {
-        fn open(&mut self) -> bool {
+        fn is_open(&mut self) -> bool {
             true
         }
 
@@ -180,12 +180,12 @@ mod tests {
         let mut outlet = TcpOutlet::listen(0).expect("a free port");
         let port = outlet.port().expect("it listens");
         let mut first = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
-        while !outlet.open() {}
+        while !outlet.is_open() {}
         let mut second = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
         second.set_nonblocking(true).expect("a socket");
         let mut reply = [0; 64];
         let length = loop {
-            assert!(outlet.open());
+            assert!(outlet.is_open());
             match second.read(&mut reply) {
                 Ok(length) => break length,
                 Err(error) => assert_eq!(error.kind(), io::ErrorKind::WouldBlock),
@@ -202,9 +202,9 @@ mod tests {
         // When the first program disconnects, the next program gets the port.
         drop(first);
         let mut third = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
-        third.write_all(b"!").expect("it is connected");
+        third.write_all(b"!").expect("the third is connected");
         while {
-            outlet.open();
+            outlet.is_open();
             outlet.read()
         } != b"!"
         {

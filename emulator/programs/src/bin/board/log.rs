@@ -53,7 +53,7 @@ mod tests {
     fn the_log_names_the_board_at_the_start() {
         for kind in BoardKind::ALL {
             let rig = Rig::empty(kind);
-            let raw = rig.with(|stopped| stopped.take_log());
+            let raw = rig.while_stopped(|stopped| stopped.take_log());
             let lines = Decoder::new(firmware(kind)).expect("the image logs");
             let lines = lines.reader().feed(&raw);
             assert!(lines.iter().any(|line| line.contains(kind.name())), "{lines:?}");

@@ -85,11 +85,11 @@ fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
-    let wiring = Wiring::of(arguments.board);
+    let wiring = Wiring::of_board(arguments.board);
     let file = DeviceFile::load(&arguments.device)?;
     let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..PowerStage::default() };
     let device = SimulatedDevice::new(&file.description, &Options { bridge, ..Options::default() })?;
-    let firmware = Firmware::of(wiring.name)?;
+    let firmware = Firmware::build(wiring.name)?;
     let decoder = Decoder::new(&firmware);
     let mut log = decoder.as_ref().map(Decoder::reader);
     let mut board = VirtualBoard::start(&firmware, Hardware::new(wiring, Box::new(device))?)?;
@@ -124,11 +124,11 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         board.run(MILLISECOND);
         let mut written = Vec::new();
         for outlet in &mut outlets {
-            if outlet.open() {
+            if outlet.is_open() {
                 written.extend(outlet.read());
             }
         }
-        let (sent, raw) = board.with(move |stopped| {
+        let (sent, raw) = board.while_stopped(move |stopped| {
             stopped.usb().write(&written);
             (stopped.usb().take(), stopped.take_log())
         });
