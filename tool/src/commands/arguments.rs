@@ -197,7 +197,7 @@ pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     if warnings.is_empty() {
         warnings = plausible::pose_limit_warnings(q, &file.description);
     }
-    warnings.into_iter().map(FileWarning::typed).collect()
+    warnings.into_iter().map(FileWarning::for_command_line).collect()
 }
 
 pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {

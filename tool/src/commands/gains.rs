@@ -64,7 +64,10 @@ fn warnings_at_present_pose(board: &mut Board, scene: &Scene<f32>, index: usize)
     let Some(contact) = contact_limits_at(&subject, &scene, index, &q[..axes], &path) else {
         return Ok(Vec::new());
     };
-    Ok(scene::gain_warnings(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
+    Ok(scene::gain_warnings(&scene.walls[index], &contact, false)
+        .into_iter()
+        .map(FileWarning::for_command_line)
+        .collect())
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {
