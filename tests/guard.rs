@@ -314,7 +314,7 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
     rig.rules.limits.tip_force = 0.1;
     let settling = |rig: &Rig| {
         let all = format!("{:?}", rig.control_loop);
-        let rest = all.split_once("settling: ").expect("the settling time").1;
+        let rest = all.split_once("settling_seconds: ").expect("the settling time").1;
         rest[..rest.find([',', ' ']).expect("its end")].parse::<f32>().expect("a number")
     };
     for step in 0..(0.02 * RATE_HZ) as u32 {

@@ -189,7 +189,7 @@ fn difference_in_roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usi
 /// Returns a controller's state as text, without the commanded torques, which may differ by some roundings.
 fn state_text(controller: &impl std::fmt::Debug) -> String {
     let all = format!("{controller:?}");
-    let (before, rest) = all.split_once("held: ").expect("the walls' torques");
+    let (before, rest) = all.split_once("wall_torque: ").expect("the walls' torques");
     let (_, after) = rest.split_once(" }").expect("the end of the torques");
     format!("{before}{after}")
 }

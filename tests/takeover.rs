@@ -20,7 +20,7 @@ fn prepared_values(rig: &Rig) -> String {
         let end = begin + all[begin..].find(to).unwrap_or_else(|| panic!("{to}"));
         format!("{}\n", &all[begin..end])
     };
-    part("crests: ", ", supplied")
+    part("crests: ", ", drive_voltage")
         + &part("unclamped_torque: ", ", now:")
         + &part(", joints: [", ", hardware")
         + &part(", period: ", ", rate_since")

@@ -125,7 +125,7 @@ impl Io for Pins {
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take([adc::result(pac::ADC1, 0)]);
+        self.zeros.update([adc::result(pac::ADC1, 0)]);
         self.offset = -AMPERES_PER_COUNT * self.zeros.get()[0];
     }
 

@@ -53,7 +53,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let passes = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !passes(&best) {
-        // Lowers the stiffness until the wall meets the criteria, but not below a stiffness of the scene that is enough.
+        // Lowers the stiffness until the wall meets the criteria, but not below a scene's stiffness that is enough.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;
