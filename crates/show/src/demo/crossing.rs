@@ -2,7 +2,8 @@
 
 use super::{Demo, DemoError};
 use haptic_bridge::board::telemetry::Field;
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_host::link::{Board, Row, columns, fields};
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
@@ -25,6 +26,13 @@ const SLIDE_END: f64 = 2.4;
 /// Time at which the hand is lifted again, which ends the crossing, s.
 const END_TIME: f64 = 2.9;
 
+/// Time at which [`switched`] begins: the hand rests and the wall buzzes, s after arming.
+const SWITCHED_FROM: f64 = 1.2;
+/// Durations without, with and without the feed-forward in [`switched`], s.
+pub const PHASES: [f64; 3] = [0.15, 0.25, 0.2];
+/// Number of waypoints before the slide: the hand rests at the last of them.
+const RESTING: usize = 3;
+
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
@@ -34,8 +42,8 @@ pub struct Moment {
     pub distance: f64,
     /// The wall's force, N.
     pub force: f64,
-    /// Largest |duty| of any axis.
-    pub duty: f64,
+    /// Joint angles, rad.
+    pub q: [f64; 3],
     /// True if a wall is touched.
     pub touching: bool,
 }
@@ -61,6 +69,33 @@ pub struct Crossing {
 
 /// Lets the hand cross the wall. Calls `progress` with the completed share of the crossing.
 pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)) -> Result<Crossing, DemoError> {
+    let (moments, lost, fault) = press(demo, &[(0.0, feed_forward)], usize::MAX, END_TIME, progress)?;
+    Ok(assess(moments, lost, fault))
+}
+
+/// Lets the hand rest on the wall while the feed-forward is off, on and off again. Returns the moments of these
+/// [`PHASES`].
+pub fn switched(demo: &Demo) -> Result<Vec<Moment>, DemoError> {
+    let [off, on, again] = PHASES;
+    let modes = [
+        (0.0, FeedForward::Off),
+        (SWITCHED_FROM + off, FeedForward::Washout),
+        (SWITCHED_FROM + off + on, FeedForward::Off),
+    ];
+    let (moments, ..) = press(demo, &modes, RESTING, SWITCHED_FROM + off + on + again, &mut |_| {})?;
+    let first = moments.len().saturating_sub(((off + on + again) * demo.rate_hz) as usize);
+    Ok(moments[first..].to_vec())
+}
+
+/// Lets the hand follow the first `waypoints` of its path until `end` (s after arming), with each mode of the
+/// feed-forward from its time on. Returns the moments, the number of lost rows and the fault.
+fn press(
+    demo: &Demo,
+    modes: &[(f64, FeedForward)],
+    waypoints: usize,
+    end: f64,
+    progress: &mut dyn FnMut(f64),
+) -> Result<(Vec<Moment>, u64, Option<String>), DemoError> {
     let device = Options { start: Some(demo.pose), ..Options::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
     let mut board = Board::over(shared.wire(), "sim")?;
@@ -68,20 +103,27 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     board.keep_alive();
     let tip = shared.lock().device().tip();
     let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
-    board.set_scene(&demo.scene(surface, feed_forward))?;
+    let scene = demo.scene(surface, modes[0].1);
+    board.set_scene(&scene)?;
     {
         let mut board = shared.lock();
         let now = board.time();
+        let path = path(demo, tip).into_iter().take(waypoints).collect();
         let settings = HandSettings { tremor: 2e-4, seed: demo.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path(demo, tip)), tip, now));
+        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path), tip, now));
     }
     board.arm()?;
-    let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
+    let selected = fields("q,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
-    let steps = (END_TIME * demo.rate_hz) as usize;
+    let steps = (end * demo.rate_hz) as usize;
+    let mut switches = modes[1..].iter().peekable();
     while rows.len() < steps {
         rows.extend(board.rows(Duration::from_millis(50))?);
+        if let Some((_, feed_forward)) = switches.next_if(|(time, _)| rows.len() as f64 >= time * demo.rate_hz) {
+            let Wall { stiffness, damping, washout_hz, .. } = scene.walls[0];
+            board.set_wall_gains(Gains { wall: 0, stiffness, damping, feed_forward: *feed_forward, washout_hz })?;
+        }
         progress((rows.len() as f64 / steps as f64).min(1.0));
     }
     board.stop_stream()?;
@@ -92,7 +134,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     }
     let lost = board.losses().missing;
     let axes = demo.file.spec().joints;
-    Ok(assess(moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
+    Ok((moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.
@@ -124,7 +166,7 @@ fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) ->
             time: f64::from(row.step.wrapping_sub(first)) / rate_hz - START_TIME,
             distance: value(row, Field::Distance, 0),
             force: value(row, Field::WallForce, 0),
-            duty: (0..3).map(|axis| value(row, Field::Duty, axis).abs()).fold(0.0, f64::max),
+            q: [0, 1, 2].map(|axis| value(row, Field::Angle, axis)),
             touching: value(row, Field::State, 1) > 0.0,
         })
         .filter(|moment| moment.time >= 0.0)
@@ -157,7 +199,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
 
 /// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
 /// the force are not ripple.
-fn ripple(force: &[f64]) -> f64 {
+pub(super) fn ripple(force: &[f64]) -> f64 {
     const HALF: usize = 10;
     if force.len() <= 2 * HALF {
         return 0.0;
