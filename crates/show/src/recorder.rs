@@ -78,6 +78,7 @@ pub struct Recorder {
     path: PathBuf,
     block: String,
     columns: usize,
+    has_comments: bool,
     /// Number of rows in the file, and number of rows in the block.
     rows: u64,
     gathered: u64,
@@ -96,7 +97,7 @@ pub enum RecordError {
 
 impl Recorder {
     /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
-    /// columns.
+    /// columns. With an empty `about` the file has no comments at all.
     pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput
@@ -109,6 +110,7 @@ impl Recorder {
             path: path.into(),
             block: String::new(),
             columns: columns.len(),
+            has_comments: !about.is_empty(),
             rows: 0,
             gathered: 0,
             bytes: 0,
@@ -130,9 +132,9 @@ impl Recorder {
         }
     }
 
-    /// Adds comment lines.
+    /// Adds comment lines, if the file has any.
     pub fn comment(&mut self, text: &str) {
-        for line in text.lines() {
+        for line in text.lines().filter(|_| self.has_comments) {
             self.block.push_str("# ");
             self.block.push_str(line);
             self.block.push('\n');
@@ -256,7 +258,10 @@ impl RowWriter {
         match self {
             Self::Mcap(recorder) => recorder.row(step, time, row),
             Self::Csv(recorder, columns) => {
-                let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
+                let values = columns.iter().zip(row).map(|(column, value)| match Value::of(column, *value) {
+                    Value::Word(_) if !recorder.has_comments => Value::Number(*value),
+                    value => value,
+                });
                 let row: Vec<Value> =
                     [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
                 recorder.row(&row)
