@@ -8,6 +8,9 @@ use haptic_show::plot::{Picture, PictureError};
 use serde::Serialize;
 use std::path::PathBuf;
 
+/// Environment variable with the path of a file that gets the document in addition to the printed text.
+pub const DOCUMENT: &str = "HAPTIC_DOCUMENT";
+
 /// `--json`, an option of every command that has results to print.
 #[derive(Clone, Copy, clap::Args)]
 pub struct Json {
@@ -22,8 +25,12 @@ impl Json {
         self.requested
     }
 
-    /// Prints the document with `--json`, otherwise the text `words`.
+    /// Prints the document with `--json`, otherwise the text `words`. `haptic report` asks for both ([`DOCUMENT`]).
     pub fn answer(self, document: impl Serialize, words: &str) -> Result<(), Failure> {
+        if let Some(path) = std::env::var_os(DOCUMENT) {
+            let text = serde_json::to_string(&document).map_err(Failure::impossible)?;
+            std::fs::write(path, text).map_err(Failure::impossible)?;
+        }
         if self.requested { print_json(document) } else { print(words) }
     }
 }
