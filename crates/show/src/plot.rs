@@ -67,6 +67,8 @@ impl From<PictureError> for Failure {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     svg: String,
+    /// Text that belongs to a picture on paper, but not into it.
+    caption: String,
     /// True if the picture has a size on paper, which determines its number of pixels.
     #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "only PNG uses it"))]
     printed: bool,
@@ -76,6 +78,11 @@ impl Picture {
     /// Returns the SVG document.
     pub fn svg(&self) -> &str {
         &self.svg
+    }
+
+    /// Returns the text for the caption of a picture on paper; empty for a screen, whose pictures contain it.
+    pub fn caption(&self) -> &str {
+        &self.caption
     }
 
     /// Writes the picture as SVG. Replaces an existing file: callers check for one before the work ([`output::check`]).

@@ -3,6 +3,7 @@
 use super::force::Force;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
+use haptic_host::output::{self, Overwrite};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::{Picture, PictureError};
 use serde::Serialize;
@@ -48,6 +49,9 @@ pub struct Pictures {
     /// screen]
     #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
+    /// Write the text that belongs under a picture with --width into this file [default: standard error]
+    #[arg(long, value_name = "FILE", requires = "width")]
+    caption: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
 }
@@ -64,6 +68,7 @@ fn parse_width(text: &str) -> Result<f64, String> {
 impl Pictures {
     /// Returns an error if the files could not be written after the work.
     pub fn check(&self) -> Result<(), Failure> {
+        self.force.check(&self.caption)?;
         self.force.check_pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
@@ -80,6 +85,12 @@ impl Pictures {
     /// Writes the requested files.
     pub fn save(&self, picture: &Picture) -> Result<(), PictureError> {
         self.svg.as_deref().map_or(Ok(()), |path| picture.save_svg(path))?;
-        self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))
+        self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))?;
+        match &self.caption {
+            Some(path) => output::write(path, format!("{}\n", picture.caption()).as_bytes(), Overwrite::Replace)?,
+            None if picture.caption().is_empty() => {}
+            None => haptic_host::tell!("caption: {}", picture.caption()),
+        }
+        Ok(())
     }
 }

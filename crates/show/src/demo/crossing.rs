@@ -42,8 +42,6 @@ pub struct Moment {
     pub distance: f64,
     /// The wall's force, N.
     pub force: f64,
-    /// Joint angles, rad.
-    pub q: [f64; 3],
     /// True if a wall is touched.
     pub touching: bool,
 }
@@ -113,7 +111,7 @@ fn press(
         board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path), tip, now));
     }
     board.arm()?;
-    let selected = fields("q,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
+    let selected = fields("distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
     let steps = (end * demo.rate_hz) as usize;
@@ -166,7 +164,6 @@ fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) ->
             time: f64::from(row.step.wrapping_sub(first)) / rate_hz - START_TIME,
             distance: value(row, Field::Distance, 0),
             force: value(row, Field::WallForce, 0),
-            q: [0, 1, 2].map(|axis| value(row, Field::Angle, axis)),
             touching: value(row, Field::State, 1) > 0.0,
         })
         .filter(|moment| moment.time >= 0.0)

@@ -12,6 +12,7 @@ use crate::plot::axes::{Axis, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
 use crate::plot::colour::{FAINT, INK, OFF, WASHOUT};
 use crate::plot::linkage;
+use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 
 const WIDTH: f64 = 760.0;
@@ -56,7 +57,7 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
     let [better, worse] = Comparison::of(without, with).sentences();
     let conditions = format!(
         "Simulated board, the firmware's control code at {:.0} kHz; wall of {:.0} kN/m and {:.0} N s/m; {SLOWER} times \
-         slower, motion {MAGNIFIED} times larger than it is.",
+         slower, motion into the wall {MAGNIFIED} times larger.",
         demo.rate_hz / 1000.0,
         demo.stiffness / 1000.0,
         demo.damping
@@ -106,25 +107,27 @@ fn switch(canvas: &mut Canvas) {
     canvas.write(format_args!("</g>"));
 }
 
-/// Draws the wall and the device, at rest and moving. The device rests where it settles in the phase `with` the
-/// feed-forward.
+/// Draws the wall and the device, at rest and moving along the wall's normal. The device rests where it settles in the
+/// phase `with` the feed-forward.
 fn device(canvas: &mut Canvas, demo: &Demo, moments: &[Moment], with: &[&Moment]) {
-    let Some(last) = with.last() else { return };
-    let pose = |moment: &Moment| -> Option<Skeleton> {
-        let q: Vec<f64> = last.q.iter().zip(&moment.q).map(|(rest, q)| rest + MAGNIFIED * (q - rest)).collect();
-        skeleton(&demo.file.description, &q[..demo.file.spec().joints])
+    let Some(depth) = with.last().map(|moment| moment.distance) else { return };
+    let Ok(linearised) = Linearised::at(&demo.file.description, demo.q(), &demo.normal) else { return };
+    // Pose with the tip moved by this distance along the normal, m.
+    let pose = |far: f64| -> Option<Skeleton> {
+        let q: Vec<f64> = demo.q().iter().zip(linearised.unit_motion.iter()).map(|(q, per)| q + far * per).collect();
+        skeleton(&demo.file.description, &q)
     };
-    let Some(rest) = pose(last) else { return };
+    let Some(rest) = pose(0.0) else { return };
     let (low, high) = linkage::bounds(rest.bars.iter().flat_map(|bar| [bar.from, bar.to]));
     let (at, size) = DEVICE;
     let scale = (size.0 / (high.0 - low.0)).min(size.1 / (high.1 - low.1));
     let pixel = |(x, y): Point| (at.0 + scale * (x - low.0), at.1 + scale * (high.1 - y));
     let ([nx, ny], tip) = (demo.normal, pixel(rest.tip));
-    // Coordinates along the wall and into its solid side. The tip is less than a pixel inside.
+    // Coordinates along the wall and into its solid side, from the tip at rest.
     let wall = |along: f64, depth: f64| (tip.0 - along * ny - depth * nx, tip.1 - along * nx + depth * ny);
-    let (half, deep) = WALL;
-    canvas.polygon(&[wall(-half, 0.0), wall(half, 0.0), wall(half, deep), wall(-half, deep)], FAINT, 0.3);
-    canvas.line(wall(-half, 0.0), wall(half, 0.0), Stroke::solid(FAINT, 1.6));
+    let ((half, deep), edge) = (WALL, scale * MAGNIFIED * depth);
+    canvas.polygon(&[wall(-half, edge), wall(half, edge), wall(half, deep), wall(-half, deep)], FAINT, 0.3);
+    canvas.line(wall(-half, edge), wall(half, edge), Stroke::solid(FAINT, 1.6));
     canvas.text(wall(half - 36.0, deep - 8.0), 13.0, Anchor::Start, false, "wall");
     let path = |skeleton: &Skeleton| -> String {
         let line = |bar: &haptic_stability::skeleton::Bar| {
@@ -133,7 +136,10 @@ fn device(canvas: &mut Canvas, demo: &Demo, moments: &[Moment], with: &[&Moment]
         };
         skeleton.bars.iter().map(line).collect()
     };
-    let poses: Vec<Skeleton> = moments.iter().map(|moment| pose(moment).unwrap_or_else(|| rest.clone())).collect();
+    let poses: Vec<Skeleton> = moments
+        .iter()
+        .map(|moment| pose(MAGNIFIED * (moment.distance - depth)).unwrap_or_else(|| rest.clone()))
+        .collect();
     let links: Vec<String> = poses.iter().map(path).collect();
     let tips: Vec<String> = poses
         .iter()
@@ -168,8 +174,8 @@ fn force(canvas: &mut Canvas, begin: f64, phases: &[Vec<&Moment>; 3], ripples: [
     let frame = PlotArea {
         at: (420.0, 92.0),
         size: (316.0, 230.0),
-        x: Axis { name: "time".into(), unit: "s".into(), low: 0.0, high: PHASES.iter().sum() },
-        y: Axis { name: "force of the wall".into(), unit: "N".into(), low: 0.0, high: 1.2 * highest },
+        x: Axis::new("time", "s", 0.0, PHASES.iter().sum()),
+        y: Axis::new("force of the wall", "N", 0.0, 1.2 * highest),
     };
     let ((left, top), (width, height)) = (frame.at, frame.size);
     let reveal = animation("animate", "width", "linear", &["0".into(), width.to_string()]);

@@ -52,18 +52,24 @@ pub struct Canvas {
     height: f64,
     /// Width on paper, mm.
     printed: Option<f64>,
+    caption: Vec<String>,
     clips: usize,
 }
 
 impl Canvas {
     /// Creates an empty white page.
     pub fn new(width: f64, height: f64) -> Self {
-        Self { body: String::new(), width, height, printed: None, clips: 0 }
+        Self { body: String::new(), width, height, printed: None, caption: Vec::new(), clips: 0 }
     }
 
     /// Sets the width on paper, mm.
     pub fn print_at(&mut self, mm: f64) {
         self.printed = Some(mm);
+    }
+
+    /// Adds lines to the caption.
+    pub fn caption<'t>(&mut self, lines: impl IntoIterator<Item = &'t str>) {
+        self.caption.extend(lines.into_iter().filter(|line| !line.is_empty()).map(String::from));
     }
 
     /// Returns the width, units.
@@ -93,7 +99,7 @@ impl Canvas {
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{}</svg>\n",
             size[0], size[1], self.body
         );
-        Picture { svg, printed: self.printed.is_some() }
+        Picture { svg, caption: self.caption.join("\n"), printed: self.printed.is_some() }
     }
 
     /// Adds SVG as it is.

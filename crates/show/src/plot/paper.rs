@@ -6,7 +6,7 @@
 use super::canvas::{Anchor, Canvas, SMALL};
 
 /// Millimetres of paper per unit that give the smallest text 8 pt.
-const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
+pub const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
 /// On a page narrower than this, text begins at the edge and numbers along an axis get less room.
 const NARROW: f64 = 500.0;
 const NARROW_LEFT: f64 = 78.0;
@@ -52,6 +52,20 @@ impl Page {
         self.wide < NARROW
     }
 
+    /// Returns the scale of a drawing that is `size` wide and high: on a screen `usual`, on paper at most what leaves
+    /// `room` to the left and right, and above and below.
+    pub fn scale(&self, usual: f64, size: (f64, f64), room: (f64, f64)) -> f64 {
+        match self.paper.is_printed() {
+            true => usual.min((self.wide - room.0) / size.0).min((self.most_high() - room.1) / size.1),
+            false => usual,
+        }
+    }
+
+    /// Returns the largest height on paper: 70 mm of a column of 85 mm.
+    pub fn most_high(&self) -> f64 {
+        self.wide * 70.0 / 85.0
+    }
+
     /// Returns an empty canvas of the page's width.
     pub fn canvas(&self, height: f64) -> Canvas {
         let mut canvas = Canvas::new(self.wide, height);
@@ -61,20 +75,33 @@ impl Page {
         canvas
     }
 
-    /// Wraps a title and the lines under it.
+    /// Wraps a title and the lines under it. On paper they belong to the caption.
     pub fn heading(&self, title: &str, under: &[String]) -> Heading {
         let room = self.wide - self.begin - EDGE;
+        let under = under.iter().map(String::as_str);
+        if self.paper.is_printed() {
+            let caption = std::iter::once(title).chain(under).map(String::from).collect();
+            return Heading { begin: self.begin, titles: Vec::new(), under: Vec::new(), caption };
+        }
         Heading {
             begin: self.begin,
             titles: wrap(title, room, TITLE.0),
-            under: under.iter().flat_map(|line| wrap(line, room, UNDER.0)).collect(),
+            under: under.flat_map(|line| wrap(line, room, UNDER.0)).collect(),
+            caption: Vec::new(),
         }
     }
 
-    /// Wraps notes in small text below a frame.
-    pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    /// Wraps notes in small text below a frame. On paper they belong to the caption.
+    pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Notes {
         let room = self.wide - self.begin - EDGE;
-        notes.into_iter().flat_map(|note| wrap(note, room, SMALL)).collect()
+        let all = notes.into_iter().map(String::from).collect();
+        match self.paper.is_printed() {
+            true => Notes { begin: self.begin, lines: Vec::new(), caption: all },
+            false => {
+                let lines = all.iter().flat_map(|note| wrap(note, room, SMALL)).collect();
+                Notes { begin: self.begin, lines, caption: Vec::new() }
+            }
+        }
     }
 }
 
@@ -83,13 +110,15 @@ pub struct Heading {
     begin: f64,
     titles: Vec<String>,
     under: Vec<String>,
+    caption: Vec<String>,
 }
 
 impl Heading {
-    /// Returns the additional height compared with a title of one line and `usual` lines under it.
+    /// Returns the additional height compared with a title of one line and `usual` lines under it; negative without
+    /// them.
     pub fn beyond(&self, usual: usize) -> f64 {
-        let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
-        TITLE.1 * more(&self.titles, 1) + UNDER.1 * more(&self.under, usual)
+        let lines = if self.titles.is_empty() { (0.0, 0.0) } else { (self.titles.len() as f64, self.under.len().max(usual) as f64) };
+        TITLE.1 * (lines.0 - 1.0) + UNDER.1 * (lines.1 - usual as f64)
     }
 
     /// Draws the heading at the top of a page.
@@ -103,6 +132,32 @@ impl Heading {
             canvas.text((self.begin, y + 1.0), UNDER.0, Anchor::Start, false, line);
             y += UNDER.1;
         }
+        canvas.caption(self.caption.iter().map(String::as_str));
+    }
+}
+
+/// Notes below a frame.
+pub struct Notes {
+    begin: f64,
+    lines: Vec<String>,
+    caption: Vec<String>,
+}
+
+impl Notes {
+    /// Distance of two lines, pixels.
+    const LINE: f64 = 17.0;
+
+    /// Returns the height of the notes.
+    pub fn height(&self) -> f64 {
+        Self::LINE * self.lines.len() as f64
+    }
+
+    /// Draws the notes with the first line at `y`.
+    pub fn draw(&self, canvas: &mut Canvas, y: f64) {
+        for (line, text) in self.lines.iter().enumerate() {
+            canvas.text((self.begin, y + Self::LINE * line as f64), SMALL, Anchor::Start, false, text);
+        }
+        canvas.caption(self.caption.iter().map(String::as_str));
     }
 }
 

@@ -2,16 +2,16 @@
 //! and with measured dots if there are any.
 
 use super::Picture;
-use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, SMALL, Stroke};
-use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
+use super::axes::{Axis, CurveName, PlotArea};
+use super::canvas::Stroke;
+use super::colour::{BOUND, FULL, HOST, OFF, WASHOUT};
 use super::paper::Paper;
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};
 
-/// Distance of the lines below the axes, pixels.
-const LINE: f64 = 17.0;
+/// Highest over lowest value of the logarithmic axes that also show a computer's walls.
+const HOST_DECADES: f64 = 1e3;
 
 /// A measured point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,25 +73,47 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
 
     let page = contents.paper.page(720.0, 86.0);
     let heading = page.heading(&contents.title, &contents.subtitle);
+    // The walls of a computer are so much softer that only a logarithmic scale shows both.
+    let axis = |name: &str, unit: &str, high: f64| match range.host {
+        Some(_) => Axis::logarithmic(name, unit, high / HOST_DECADES, high),
+        None => Axis::new(name, unit, 0.0, high),
+    };
     let frame = PlotArea {
         at: (page.left, 82.0 + heading.beyond(2)),
-        size: (page.wide - page.left - 24.0, if page.is_narrow() { 220.0 } else { 340.0 }),
-        x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
-        y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
+        size: (page.wide - page.left - 24.0, if page.is_narrow() { 190.0 } else { 340.0 }),
+        x: axis("wall damping kd", "N s/m", above(widest)),
+        y: axis("wall stiffness kp", "N/m", above(tallest)),
     };
     let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
     let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
-    let symbols = page.notes(contents.note.iter().map(String::as_str).chain(symbols.iter().map(String::as_str)));
-    let below = frame.at.1 + frame.size.1 + 64.0;
-    let mut canvas = page.canvas(below + LINE * symbols.len() as f64);
+    let inertia =
+        format!("the wall meets Weff = {} without the feed-forward, Wrr = {} with it", mass(range.w_eff), mass(range.w_rr));
+    let dots = measured().next().map(|_| format!("dots: {}", contents.measured));
+    let notes = [Some(inertia), contents.note.clone(), dots].into_iter().flatten().chain(symbols).collect::<Vec<_>>();
+    let notes = page.notes(notes.iter().map(String::as_str));
+    let below = frame.at.1 + frame.size.1 + if page.is_narrow() { 48.0 } else { 64.0 };
+    let mut canvas = page.canvas(below + notes.height());
     heading.draw(&mut canvas);
     let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
-    let (off, full) = (points(&range.off), points(&range.full));
-    let mut drawn = vec![off.clone(), full.clone()];
-    let mut entries = Vec::new();
+    let mut names = Vec::new();
+    let mut name = |curve: Vec<(f64, f64)>, colour, name: String| names.push(CurveName { curve, colour, name });
+    name(points(&range.full), FULL, "with feed-forward".into());
+    name(points(&range.off), OFF, "without".into());
+    if let Some(washout) = &range.washout {
+        let corner = contents.washout_hz.map_or(String::new(), |hz| format!(" {hz} Hz"));
+        name(points(washout), WASHOUT, format!("washout{corner}"));
+    }
+    if let Some(host) = &range.host {
+        let late = format!("{:.1}", 1e3 * host.delay_s);
+        name(points(&host.domain), HOST, format!("computer, {:.0} Hz, {late} ms late", host.rate_hz));
+    }
+    for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
+        name(bound.line.clone(), BOUND, bound.name.into());
+    }
+    let mut drawn: Vec<_> = names.iter().map(|name| name.curve.clone()).collect();
     frame.clipped(&mut canvas, |canvas| {
-        frame.area_under(canvas, &full, FULL, 0.10);
-        frame.area_under(canvas, &off, OFF, 0.16);
+        frame.area_under(canvas, &points(&range.full), FULL, 0.10);
+        frame.area_under(canvas, &points(&range.off), OFF, 0.16);
         for (domain, colour) in [(Some(&range.off), OFF), (Some(&range.full), FULL), (range.washout.as_ref(), WASHOUT)]
         {
             for island in domain.map_or(&[][..], |d| &d.islands) {
@@ -100,33 +122,10 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
                 drawn.push(ends.to_vec());
             }
         }
-        let line = |colour, dash| Stroke { colour, width: 2.0, dash };
-        frame.curve(canvas, &full, line(FULL, ""));
-        entries.push((Mark::Line(line(FULL, "")), format!("feed-forward (4), Wrr = {}", mass(range.w_rr))));
-        if let Some(washout) = &range.washout {
-            frame.curve(canvas, &points(washout), line(WASHOUT, "7 3"));
-            drawn.push(points(washout));
-            let washed = match contents.washout_hz {
-                Some(hz) => format!("feed-forward, washout {hz} Hz"),
-                None => "feed-forward with washout".into(),
-            };
-            entries.push((Mark::Line(line(WASHOUT, "7 3")), washed));
-        }
-        frame.curve(canvas, &off, line(OFF, ""));
-        entries.push((Mark::Line(line(OFF, "")), format!("no feed-forward, Weff = {}", mass(range.w_eff))));
-        if let Some(host) = &range.host {
-            frame.area_under(canvas, &points(&host.domain), HOST, 0.5);
-            frame.curve(canvas, &points(&host.domain), line(HOST, ""));
-            drawn.push(points(&host.domain));
-            let late = format!("{:.1}", 1e3 * host.delay_s);
-            let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
-            entries.push((Mark::Line(line(HOST, "")), name));
-        }
-        for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
-            let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
-            frame.curve(canvas, &bound.line, stroke);
-            drawn.push(bound.line.clone());
-            entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
+        for CurveName { curve, colour, .. } in &names {
+            let dash = bounds.iter().find(|bound| bound.line == *curve).map(|bound| bound.dash);
+            let dash = dash.unwrap_or(if *colour == WASHOUT { "7 3" } else { "" });
+            frame.curve(canvas, curve, Stroke { colour, width: if *colour == BOUND { 1.6 } else { 2.0 }, dash });
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
             for dot in dots {
@@ -136,14 +135,9 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             }
         }
     });
-    if measured().next().is_some() {
-        entries.push((Mark::Dot(FAINT), contents.measured.clone()));
-    }
     frame.draw(&mut canvas, "");
-    for (line, text) in symbols.iter().enumerate() {
-        canvas.text((page.begin, below + LINE * line as f64), SMALL, Anchor::Start, false, text);
-    }
-    frame.clear_legend(&mut canvas, &drawn, &entries);
+    notes.draw(&mut canvas, below);
+    frame.name_curves(&mut canvas, &drawn, &names);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
@@ -169,7 +163,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     let small = right - frame.at.0 < MIN_VISIBLE || bottom - top < MIN_VISIBLE;
     let at = |i: usize| end * i as f64 / PIECES as f64;
     let mut bounds = vec![Bound {
-        name: "Colgate and Schenkel, of this loop",
+        name: "passive",
         dash: "5 3",
         line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
         hidden: small.then(|| format!("kp < {}, kd < {}", with_unit(max_stiffness, "N/m"), with_unit(end, "N s/m"))),
@@ -178,7 +172,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
         let (_, y) = frame.pixel(0.0, limit);
         let is_hidden = bottom - y < MIN_VISIBLE || y < frame.at.1;
         bounds.push(Bound {
-            name: "kp ≤ 2 fc/Δ as well, at kd = 0",
+            name: "passive, kp ≤ 2 fc/Δ",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
             hidden: is_hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
@@ -189,8 +183,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
 
 /// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
-    let mut lines =
-        vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];
+    let mut lines = vec!["passive (Colgate and Schenkel): stable in any hand, without feed-forward".into()];
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
     if drawn(0) {
         lines.push(format!(

@@ -15,6 +15,8 @@ const WIDTH: f64 = 420.0;
 const VALUE: f64 = 120.0;
 const ROW: f64 = 40.0;
 const TOP: f64 = 92.0;
+/// Height of the names of decades and colours below the rows, pixels.
+const FOOT: f64 = 48.0;
 /// Shorter bars are placed under their names instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
 /// Minimum distance between the names of decades, pixels.
@@ -31,13 +33,20 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     let name_width = 24.0 + LETTER * longest as f64;
     let page = paper.page(name_width + WIDTH + VALUE, 16.0);
     let in_line = page.wide - name_width - VALUE > MIN_BAR_WIDTH;
-    let (left, row_high) = if in_line { (name_width, ROW) } else { (EDGE, ROW + 16.0) };
+    let left = if in_line { name_width } else { EDGE };
     let width = page.wide - left - VALUE;
     let mut under = subtitle.to_vec();
     let below = in_line && page.wide - left - 260.0 > LETTER * BAR_MEANING.len() as f64;
     under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
     let heading = page.heading(title, &under);
-    let top_of_rows = TOP + heading.beyond(2);
+    let top_of_rows = if paper.is_printed() { EDGE } else { TOP + heading.beyond(2) };
+    // On paper the rows share the height of a column.
+    let bar = if paper.is_printed() { 7.0 } else { 12.0 };
+    let row_high = match paper.is_printed() {
+        true => (page.most_high() - top_of_rows - FOOT).min(34.0 * rows.len() as f64) / rows.len() as f64,
+        false if in_line => ROW,
+        false => ROW + 16.0,
+    };
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
     let highest = values().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
     let lowest = values().filter(|kp| *kp > 0.0).fold(highest, f64::min);
@@ -45,7 +54,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     let at = |kp: f64| left + width * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
     let bottom = top_of_rows + row_high * rows.len() as f64;
 
-    let mut canvas = page.canvas(bottom + 56.0);
+    let mut canvas = page.canvas(bottom + FOOT);
     heading.draw(&mut canvas);
     let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {
@@ -63,18 +72,18 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
         if in_line {
             canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
         } else {
-            canvas.text((left, top + 14.0), 12.0, Anchor::Start, false, name);
-            top += row_high - ROW;
+            canvas.text((left, top + 12.0), 12.0, Anchor::Start, false, name);
+            top += 14.0;
         }
         for (slot, (limits, colour)) in [(both.off, OFF), (both.full, FULL)].into_iter().enumerate() {
-            let y = top + 4.0 + 15.0 * slot as f64;
+            let y = top + 2.0 + (bar + 2.0) * slot as f64;
             let (end, text) = match limits {
                 Some(limits) if limits.kp_max > 0.0 => (at(limits.kp_max), with_unit(limits.kp_max, "N/m")),
                 Some(_) => (left, "nothing is stable".to_string()),
                 None => (left + width, "no limit".to_string()),
             };
-            canvas.rectangle((left, y), (end - left, 12.0), colour, Stroke::solid(colour, 0.0));
-            canvas.text((end + 6.0, y + 10.0), SMALL, Anchor::Start, false, &text);
+            canvas.rectangle((left, y), (end - left, bar), colour, Stroke::solid(colour, 0.0));
+            canvas.text((end + 6.0, y + bar / 2.0 + 4.0), SMALL, Anchor::Start, false, &text);
         }
     }
     for (limits, colour) in [(why.limits.off, OFF), (why.limits.full, FULL)] {

@@ -186,7 +186,8 @@ impl McapRecorder {
 
     /// Adds an event at a time since the first row, s.
     pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
-        let message = protobuf::pack_log(&self.event, self.log_time(time), EVENT_LEVEL, words);
+        let now = self.log_time(time);
+        let message = protobuf::pack_log(&self.event, now, EVENT_LEVEL, words);
         self.write(1, time, &message)
     }
 

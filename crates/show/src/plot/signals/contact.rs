@@ -62,6 +62,7 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
         curves: vec![Curve { name: force.into(), pieces }],
         line: fit.ok().map(|fit| fit.ends),
         note,
+        contact: Vec::new(),
     })
 }
 
