@@ -101,7 +101,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let results = Results { inertia: demo.inertia()?, crossings, limits };
     let svg = args.svg.unwrap_or_else(|| output::unused("haptic-demo.svg".as_ref()));
     let [without, with] = &results.crossings;
-    draw(&demo, &switched(&demo)?, without, with).save_svg(&svg)?;
+    let (shown, moments) = switched()?;
+    draw(&shown, &moments, without, with).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
     let words = format!("{}picture: {place}\n", report(&demo, &results));

@@ -1,12 +1,14 @@
 //! A hand that presses onto the wall and slides along it.
 
 use super::{Demo, DemoError};
+use crate::view::world::{World, hand_settings};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::{FeedForward, Wall};
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
+use haptic_host::error::Failure;
 use haptic_host::link::{Board, Row, columns, fields};
-use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use haptic_sim::{BoardOptions, Hand, Intent, Options, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
@@ -27,11 +29,11 @@ const SLIDE_END: f64 = 2.4;
 const END_TIME: f64 = 2.9;
 
 /// Time at which [`switched`] begins: the hand rests and the wall buzzes, s after arming.
-const SWITCHED_FROM: f64 = 1.2;
+const SWITCHED_FROM: f64 = 2.5;
 /// Durations without, with and without the feed-forward in [`switched`], s.
-pub const PHASES: [f64; 3] = [0.15, 0.25, 0.2];
-/// Number of waypoints before the slide: the hand rests at the last of them.
-const RESTING: usize = 3;
+pub const PHASES: [f64; 3] = [0.2, 0.4, 0.4];
+/// Depth of the hand below the wall's surface in [`switched`], m.
+const RESTING_DEPTH: f64 = 0.035;
 
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,58 +69,79 @@ pub struct Crossing {
 
 /// Lets the hand cross the wall. Calls `progress` with the completed share of the crossing.
 pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)) -> Result<Crossing, DemoError> {
-    let (moments, lost, fault) = press(demo, &[(0.0, feed_forward)], usize::MAX, END_TIME, progress)?;
+    let device = Options { start: Some(demo.pose), ..Options::default() };
+    let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
+    let mut board = Board::over(shared.wire(), "sim")?;
+    let tip = shared.lock().device().tip();
+    let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
+    let scene = demo.scene(surface, feed_forward);
+    board.set_scene(&scene)?;
+    let (moments, lost, fault) = press(&mut board, &shared, &scene, path(demo, tip), &[], END_TIME, progress)?;
     Ok(assess(moments, lost, fault))
 }
 
-/// Lets the hand rest on the wall while the feed-forward is off, on and off again. Returns the moments of these
-/// [`PHASES`].
-pub fn switched(demo: &Demo) -> Result<Vec<Moment>, DemoError> {
+/// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
+/// and the moments of these [`PHASES`].
+pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
+    let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
+        return Err(Failure::impossible("the demo is not simulated"));
+    };
+    let scene = board.scene()?.ok_or_else(|| Failure::impossible("the demo has no scene"))?;
+    let Wall { surface: Surface::Plane(plane), stiffness, damping, .. } = scene.walls[0] else {
+        return Err(Failure::impossible("the demo has no plane"));
+    };
+    let (tip, pose) = {
+        let board = shared.lock();
+        (board.device().tip(), board.device().q())
+    };
+    let normal = [plane.normal[0], plane.normal[1]].map(f64::from);
+    let (stiffness, damping) = (f64::from(stiffness), f64::from(damping));
+    let demo = Demo { file, pose, normal, stiffness, damping, ..Demo::shipped(1)? };
+    let depth = (0..2).map(|i| (tip[i] - f64::from(plane.point[i])) * normal[i]).sum::<f64>() + RESTING_DEPTH;
+    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)].map(|(time, depth)| Waypoint {
+        time,
+        value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0],
+    });
     let [off, on, again] = PHASES;
     let modes = [
         (0.0, FeedForward::Off),
         (SWITCHED_FROM + off, FeedForward::Washout),
         (SWITCHED_FROM + off + on, FeedForward::Off),
     ];
-    let (moments, ..) = press(demo, &modes, RESTING, SWITCHED_FROM + off + on + again, &mut |_| {})?;
+    let end = SWITCHED_FROM + off + on + again;
+    let (moments, ..) = press(&mut board, &shared, &scene, rest.to_vec(), &modes, end, &mut |_| {})?;
     let first = moments.len().saturating_sub(((off + on + again) * demo.rate_hz) as usize);
-    Ok(moments[first..].to_vec())
+    Ok((demo, moments[first..].to_vec()))
 }
 
-/// Lets the hand follow the first `waypoints` of its path until `end` (s after arming), with each mode of the
-/// feed-forward from its time on. Returns the moments, the number of lost rows and the fault.
+/// Lets the hand follow a path until `end` (s after arming) and sets each of the `modes` of the feed-forward at its
+/// time. Returns the moments, the number of lost rows and the fault.
 fn press(
-    demo: &Demo,
+    board: &mut Board,
+    shared: &SharedBoard,
+    scene: &Scene<f32>,
+    path: Vec<Waypoint>,
     modes: &[(f64, FeedForward)],
-    waypoints: usize,
     end: f64,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(Vec<Moment>, u64, Option<String>), DemoError> {
-    let device = Options { start: Some(demo.pose), ..Options::default() };
-    let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
-    let mut board = Board::over(shared.wire(), "sim")?;
     // The board watches its host, and turns the motors off if it receives nothing.
     board.keep_alive();
-    let tip = shared.lock().device().tip();
-    let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
-    let scene = demo.scene(surface, modes[0].1);
-    board.set_scene(&scene)?;
     {
         let mut board = shared.lock();
-        let now = board.time();
-        let path = path(demo, tip).into_iter().take(waypoints).collect();
-        let settings = HandSettings { tremor: 2e-4, seed: demo.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path), tip, now));
+        let (now, tip) = (board.time(), board.device().tip());
+        board.device_mut().set_hand(Hand::new(hand_settings(), Intent::Follow(path), tip, now));
     }
     board.arm()?;
     let selected = fields("distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
-    let steps = (end * demo.rate_hz) as usize;
-    let mut switches = modes[1..].iter().peekable();
+    let rate_hz = f64::from(scene.rate_hz);
+    let steps = (end * rate_hz) as usize;
+    let mut modes = modes.iter().peekable();
     while rows.len() < steps {
         rows.extend(board.rows(Duration::from_millis(50))?);
-        if let Some((_, feed_forward)) = switches.next_if(|(time, _)| rows.len() as f64 >= time * demo.rate_hz) {
+        if let Some((_, feed_forward)) = modes.next_if(|(time, _)| rows.len() as f64 >= time * rate_hz) {
             let Wall { stiffness, damping, washout_hz, .. } = scene.walls[0];
             board.set_wall_gains(Gains { wall: 0, stiffness, damping, feed_forward: *feed_forward, washout_hz })?;
         }
@@ -131,8 +154,8 @@ fn press(
         board.disarm()?;
     }
     let lost = board.losses().missing;
-    let axes = demo.file.spec().joints;
-    Ok((moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
+    let axes = board.device()?.map_or(0, |device| device.axes());
+    Ok((moments(&rows, &columns(selected, axes), rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.
