@@ -250,7 +250,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         // A picture always shows the complete boundary, even if single points were requested.
         let complete = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
-            title: format!("{}: stable walls, predicted", file.name),
+            title: match &complete.host {
+                Some(host) => format!(
+                    "{}: {:.0} times as stiff as from a computer at {:.0} Hz",
+                    file.name,
+                    complete.off.top.kp / host.domain.top.kp.max(f64::MIN_POSITIVE),
+                    host.rate_hz
+                ),
+                None => format!("{}: stable walls, predicted", file.name),
+            },
             subtitle: subtitle(&args, &q, &normals, range.area_ratio),
             range: &complete,
             passivity: passivity.as_ref(),

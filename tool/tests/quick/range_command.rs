@@ -89,7 +89,7 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
     assert!(said.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{said}");
-    for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "Colgate and Schenkel", "Weff, Wrr:", "washout 2 Hz"] {
+    for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "Colgate and Schenkel", "Weff = ", "washout 2 Hz"] {
         assert!(drawn.contains(symbol), "{symbol}");
     }
 }
@@ -125,7 +125,7 @@ fn a_wall_rendered_by_a_computer_is_compared_with_the_boards() {
     assert!((kp(host) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
     assert!(number(&document["off"]["area"]) > 100.0 * number(&host["area"]));
     let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
+    assert!(drawn.contains("computer, 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
     let said = output(&[&board[..], &["--host-rate", "1000"]].concat());
     assert!(said.contains("on a computer, 1000 Hz") && said.contains("forces 1 ms old"), "{said}");
 }
