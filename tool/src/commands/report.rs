@@ -9,14 +9,14 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
-use haptic_predict::design::place::directions;
 use haptic_host::words::{percent, with_unit};
+use haptic_predict::design::place::directions;
 use haptic_predict::plausible::scene::file_warnings;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::prediction::{self, Prediction};
+use haptic_stability::analysis::range::WORTHWHILE_RATIO;
 use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::several::Member;
-use haptic_stability::analysis::range::WORTHWHILE_RATIO;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::fmt::Write;
@@ -291,9 +291,17 @@ fn answers(sections: &[Section], outputs: &[Output]) -> Vec<(&'static str, Strin
     let mut answers = Vec::new();
     let mut add = |question, answer: Option<String>, title| answers.extend(answer.map(|text| (question, text, title)));
     let force = |end: &str| number("Device", &format!("/summary/force_at_home/{end}"));
-    add("Force", force("low").zip(force("high")).map(|(low, high)| {
-        format!("At home the motors make {} to {} at the tip, by direction.", with_unit(low, "N"), with_unit(high, "N"))
-    }), "Device");
+    add(
+        "Force",
+        force("low").zip(force("high")).map(|(low, high)| {
+            format!(
+                "At home the motors make {} to {} at the tip, by direction.",
+                with_unit(low, "N"),
+                with_unit(high, "N")
+            )
+        }),
+        "Device",
+    );
     let felt = stiff("Stiffest wall", "/best/felt").map_or(String::new(), |felt| format!(" (felt at the tip: {felt})"));
     add("Stiffest wall", stiff("Stiffest wall", "/best/stiffness").and_then(|stiffness| {
         Some(format!(
@@ -305,12 +313,17 @@ fn answers(sections: &[Section], outputs: &[Output]) -> Vec<(&'static str, Strin
             words("Stiffest wall", "/active")?
         ))
     }), "Stiffest wall");
-    add("The scene's wall", stiff("Device", "/scenes/0/contacts/0/stiffness").and_then(|stiffness| {
-        let ripple = number("Device", "/scenes/0/contacts/0/ripple_n");
-        let ripple = ripple.map_or(String::new(), |ripple| format!(" In a hand it ripples by {} rms.", with_unit(ripple, "N")));
-        let to = stiff("Device", "/scenes/0/contacts/0/stable_to")?;
-        Some(format!("{stiffness}, predicted stable up to {to} with its damping.{ripple}"))
-    }), "Device");
+    add(
+        "The scene's wall",
+        stiff("Device", "/scenes/0/contacts/0/stiffness").and_then(|stiffness| {
+            let ripple = number("Device", "/scenes/0/contacts/0/ripple_n");
+            let ripple = ripple
+                .map_or(String::new(), |ripple| format!(" In a hand it ripples by {} rms.", with_unit(ripple, "N")));
+            let to = stiff("Device", "/scenes/0/contacts/0/stable_to")?;
+            Some(format!("{stiffness}, predicted stable up to {to} with its damping.{ripple}"))
+        }),
+        "Device",
+    );
     let effects = document("Limits").and_then(|limits| limits.pointer("/why/effects")?.as_array());
     let taken = |effect: &Value| effect.pointer("/takes/off").and_then(Value::as_f64).unwrap_or(0.0);
     let worst = effects.and_then(|all| all.iter().max_by(|a, b| taken(a).total_cmp(&taken(b))));
@@ -324,22 +337,30 @@ fn answers(sections: &[Section], outputs: &[Output]) -> Vec<(&'static str, Strin
         ))
     }), "Limits");
     let everywhere = output("Workspace").and_then(|(_, output)| output.text.lines().last());
-    add("Feed-forward", number("Stable walls", "/area_ratio").map(|ratio| {
-        let here = format!("At this pose and normal it makes the stable area {ratio:.2} times as large");
-        let worth = if ratio < WORTHWHILE_RATIO { ": leave it off here" } else { "" };
-        let place = number("Improvements", "/places/feed_forward_buys_most/w_rr")
-            .zip(number("Improvements", "/places/feed_forward_buys_most/w_eff"));
-        let most = place.map_or(String::new(), |(with, without)| {
-            format!(" Where it gains most, a wall meets {:.2} times the inertia.", with / without)
-        });
-        format!("{here}{worth}. Over the workspace: {}{most}", everywhere.unwrap_or("not mapped."))
-    }), "Workspace");
-    add("Improve first", words("Improvements", "/buys_most/0/part").and_then(|part| {
-        let more = document("Improvements")?.pointer("/buys_most/0/more")?.as_bool()?;
-        let gain = percent(number("Improvements", "/buys_most/0/effect/off")? - 1.0, 1, true);
-        let more = if more { "more" } else { "less" };
-        Some(format!("A tenth {more} {part}: {gain} for the stiffest wall without the feed-forward."))
-    }), "Improvements");
+    add(
+        "Feed-forward",
+        number("Stable walls", "/area_ratio").map(|ratio| {
+            let here = format!("At this pose and normal it makes the stable area {ratio:.2} times as large");
+            let worth = if ratio < WORTHWHILE_RATIO { ": leave it off here" } else { "" };
+            let place = number("Improvements", "/places/feed_forward_buys_most/w_rr")
+                .zip(number("Improvements", "/places/feed_forward_buys_most/w_eff"));
+            let most = place.map_or(String::new(), |(with, without)| {
+                format!(" Where it gains most, a wall meets {:.2} times the inertia.", with / without)
+            });
+            format!("{here}{worth}. Over the workspace: {}{most}", everywhere.unwrap_or("not mapped."))
+        }),
+        "Workspace",
+    );
+    add(
+        "Improve first",
+        words("Improvements", "/buys_most/0/part").and_then(|part| {
+            let more = document("Improvements")?.pointer("/buys_most/0/more")?.as_bool()?;
+            let gain = percent(number("Improvements", "/buys_most/0/effect/off")? - 1.0, 1, true);
+            let more = if more { "more" } else { "less" };
+            Some(format!("A tenth {more} {part}: {gain} for the stiffest wall without the feed-forward."))
+        }),
+        "Improvements",
+    );
     answers
 }
 
@@ -355,7 +376,10 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
     );
     let anchor = |title: &str| title.to_lowercase().replace(' ', "-");
     let figure = |index: usize| {
-        outputs[index].picture.as_ref().map_or(String::new(), |svg| format!("<figure>{}</figure>\n", inline(svg, index)))
+        outputs[index]
+            .picture
+            .as_ref()
+            .map_or(String::new(), |svg| format!("<figure>{}</figure>\n", inline(svg, index)))
     };
     let name = escape(name);
     let mut page = format!(

@@ -115,7 +115,10 @@ fn the_picture_shows_the_recorded_values() {
     plot(&files).code(1).stderr(contains("--force"));
 
     let text = std::fs::read_to_string(&svg).unwrap();
-    assert!(text.contains("a-device in contact with a wall, recorded 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
+    assert!(
+        text.contains("a-device in contact with a wall, recorded 2026-01-01")
+            && text.contains("wall 0: plane, 3000 N/m")
+    );
     let panels = read(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
@@ -179,8 +182,12 @@ fn the_picture_shows_the_recorded_values() {
 
 #[test]
 fn names_stand_at_their_curves_and_cover_none() {
-    let frame =
-        PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: Axis::new("x", "m", 0.0, 600.0), y: Axis::new("y", "m", 0.0, 300.0) };
+    let frame = PlotArea {
+        at: (100.0, 50.0),
+        size: (600.0, 300.0),
+        x: Axis::new("x", "m", 0.0, 600.0),
+        y: Axis::new("y", "m", 0.0, 300.0),
+    };
     let line = |from: f64, to: f64| (0..=60).map(|i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
     let curves: [Vec<(f64, f64)>; 2] = [line(0.0, 300.0).collect(), line(300.0, 0.0).collect()];
     let names = [("rising", "red"), ("falling", "blue")].into_iter().zip(&curves);
@@ -194,7 +201,8 @@ fn names_stand_at_their_curves_and_cover_none() {
         let (x, y) = (attribute(text, "x").unwrap(), attribute(text, "y").unwrap());
         let distance = |curve: &[(f64, f64)]| {
             let at = curve.iter().map(|&(x, y)| frame.pixel(x, y));
-            let from = |p: (f64, f64)| (p.0 - p.0.clamp(x, x + 6.0 * name.len() as f64)).hypot(p.1 - p.1.clamp(y - 9.0, y));
+            let from =
+                |p: (f64, f64)| (p.0 - p.0.clamp(x, x + 6.0 * name.len() as f64)).hypot(p.1 - p.1.clamp(y - 9.0, y));
             at.map(from).fold(f64::INFINITY, f64::min)
         };
         let (own, other) = (distance(&curves[index]), distance(&curves[1 - index]));

@@ -31,9 +31,9 @@ const END_TIME: f64 = 2.9;
 /// Time at which [`switched`] begins: the hand rests and the wall buzzes, s after arming.
 const SWITCHED_FROM: f64 = 2.5;
 /// Durations without, with and without the feed-forward in [`switched`], s.
-pub const PHASES: [f64; 3] = [0.2, 0.4, 0.4];
+pub const PHASES: [f64; 3] = [0.25, 0.35, 0.6];
 /// Depth of the hand below the wall's surface in [`switched`], m.
-const RESTING_DEPTH: f64 = 0.035;
+const RESTING_DEPTH: f64 = 0.045;
 
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,10 +98,8 @@ pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
     let (stiffness, damping) = (f64::from(stiffness), f64::from(damping));
     let demo = Demo { file, pose, normal, stiffness, damping, ..Demo::shipped(1)? };
     let depth = (0..2).map(|i| (tip[i] - f64::from(plane.point[i])) * normal[i]).sum::<f64>() + RESTING_DEPTH;
-    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)].map(|(time, depth)| Waypoint {
-        time,
-        value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0],
-    });
+    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)]
+        .map(|(time, depth)| Waypoint { time, value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0] });
     let [off, on, again] = PHASES;
     let modes = [
         (0.0, FeedForward::Off),

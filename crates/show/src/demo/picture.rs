@@ -18,13 +18,13 @@ use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 const WIDTH: f64 = 760.0;
 const HEIGHT: f64 = 440.0;
 /// Seconds of the picture per simulated second.
-const SLOWER: f64 = 15.0;
+const SLOWER: f64 = 12.0;
 /// Factor by which the device's motion is drawn larger than it is.
-const MAGNIFIED: f64 = 100.0;
+const MAGNIFIED: f64 = 30.0;
 /// The drawn device: its left and top edge, and its size, pixels.
-const DEVICE: (Point, Point) = ((24.0, 92.0), (310.0, 260.0));
+const DEVICE: (Point, Point) = ((90.0, 160.0), (230.0, 190.0));
 /// Half the length of the drawn wall, and the drawn depth of its solid side, pixels.
-const WALL: (f64, f64) = (130.0, 44.0);
+const WALL: (f64, f64) = (90.0, 40.0);
 /// The end of each phase from which its ripple is computed, s.
 const SETTLED: f64 = 0.1;
 const COLOURS: [&str; 3] = [OFF, WASHOUT, OFF];
@@ -55,18 +55,21 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
     device(&mut canvas, demo, moments, &phases[1]);
     force(&mut canvas, begin, &phases, ripples);
     let [better, worse] = Comparison::of(without, with).sentences();
-    let conditions = format!(
-        "Simulated board, the firmware's control code at {:.0} kHz; wall of {:.0} kN/m and {:.0} N s/m; {SLOWER} times \
-         slower, motion into the wall {MAGNIFIED} times larger.",
-        demo.rate_hz / 1000.0,
+    let wall = format!(
+        "The wall of `haptic view --port sim`: {:.1} kN/m and {:.0} N s/m, control at {:.0} kHz, a tenth of the usual dry friction.",
         demo.stiffness / 1000.0,
-        demo.damping
+        demo.damping,
+        demo.rate_hz / 1000.0
     );
-    for (line, text) in [&conditions, &better, &worse].into_iter().enumerate() {
-        canvas.text((24.0, HEIGHT - 44.0 + 16.0 * line as f64), SMALL, Anchor::Start, false, text);
+    let shown = format!(
+        "A simulated board runs the firmware's control code. Shown {SLOWER} times slower; motion into the wall {MAGNIFIED} times larger."
+    );
+    for (line, text) in [wall, shown].iter().enumerate() {
+        canvas.text((24.0, HEIGHT - 32.0 + 16.0 * line as f64), SMALL, Anchor::Start, false, text);
     }
     let description = format!(
-        "The wall's force ripples by {:.2} N rms without the feed-forward and by {:.2} N rms with it. {better} {worse}",
+        "The wall's force ripples by {:.2} N rms without the feed-forward and by {:.2} N rms with it. When the hand of \
+         `haptic demo` crosses a wall: {better} {worse}",
         ripples[0], ripples[1]
     );
     canvas.finish("A virtual wall buzzes without the feed-forward, and rests with it", &description)
@@ -128,7 +131,7 @@ fn device(canvas: &mut Canvas, demo: &Demo, moments: &[Moment], with: &[&Moment]
     let ((half, deep), edge) = (WALL, scale * MAGNIFIED * depth);
     canvas.polygon(&[wall(-half, edge), wall(half, edge), wall(half, deep), wall(-half, deep)], FAINT, 0.3);
     canvas.line(wall(-half, edge), wall(half, edge), Stroke::solid(FAINT, 1.6));
-    canvas.text(wall(half - 36.0, deep - 8.0), 13.0, Anchor::Start, false, "wall");
+    canvas.text(wall(half - 14.0, deep - 22.0), 13.0, Anchor::Start, false, "wall");
     let path = |skeleton: &Skeleton| -> String {
         let line = |bar: &haptic_stability::skeleton::Bar| {
             let (from, to) = (pixel(bar.from), pixel(bar.to));
@@ -141,11 +144,8 @@ fn device(canvas: &mut Canvas, demo: &Demo, moments: &[Moment], with: &[&Moment]
         .map(|moment| pose(MAGNIFIED * (moment.distance - depth)).unwrap_or_else(|| rest.clone()))
         .collect();
     let links: Vec<String> = poses.iter().map(path).collect();
-    let tips: Vec<String> = poses
-        .iter()
-        .map(|pose| pixel(pose.tip))
-        .map(|to| format!("{:.1} {:.1}", to.0 - tip.0, to.1 - tip.1))
-        .collect();
+    let tips: Vec<String> =
+        poses.iter().map(|pose| pixel(pose.tip)).map(|to| format!("{:.1} {:.1}", to.0 - tip.0, to.1 - tip.1)).collect();
     let links = animation("animate", "d", "linear", &links);
     let tips = animation("animateTransform", "transform", "linear", &tips);
     for (class, links, tips) in [("still", "", ""), ("moving", links.as_str(), tips.as_str())] {

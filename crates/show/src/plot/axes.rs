@@ -198,7 +198,8 @@ impl PlotArea {
                 to(x).min(to(x + width / 2.0)).min(to(x + width))
             };
             let (columns, rows) = ((self.size.0 - width - 12.0) / STEP, (self.size.1 - HIGH - 12.0) / STEP);
-            let places = (0..=columns.max(-1.0) as i32).flat_map(|column| (0..=rows as i32).map(move |row| (column, row)));
+            let places =
+                (0..=columns.max(-1.0) as i32).flat_map(|column| (0..=rows as i32).map(move |row| (column, row)));
             let places = places.map(|(column, row)| {
                 (self.at.0 + 6.0 + STEP * f64::from(column), self.at.1 + 6.0 + HIGH + STEP * f64::from(row))
             });

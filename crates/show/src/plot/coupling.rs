@@ -130,11 +130,10 @@ fn motion(
     // Joint motion per metre of the tip along n: constrained, and free, which is the motion that Jᵀ causes.
     let held = device.unit_motion.clone();
     let (w_rr, w_eff) = (device.w_rr(), device.w_eff().unwrap_or_else(|| device.w_rr()));
-    let free = device.mass.clone().cholesky().map(|mass| w_eff * mass.solve(&device.row)).unwrap_or_else(|| held.clone());
+    let free =
+        device.mass.clone().cholesky().map(|mass| w_eff * mass.solve(&device.row)).unwrap_or_else(|| held.clone());
     let mut names = Vec::new();
-    for (motion, inertia, colour, name) in
-        [(&free, w_eff, OFF, "without"), (&held, w_rr, FULL, "with feed-forward")]
-    {
+    for (motion, inertia, colour, name) in [(&free, w_eff, OFF, "without"), (&held, w_rr, FULL, "with feed-forward")] {
         let Some(along) = direction(description, q, here, motion) else { continue };
         // The distance grows with the square of time, and with the reciprocal of the inertia.
         let at = |dot: usize| {
@@ -180,8 +179,8 @@ fn curve(canvas: &mut Canvas, place: Place, pose: &TaskPose, point: &MapPoint, n
     let ring = round_mass(largest / 2.0);
     let curves = [
         (polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0)), WASHOUT, "coupling".to_string()),
-        (polar(|sample| sample.1), OFF, "without: Weff".into()),
-        (polar(|sample| sample.2), FULL, "with: Wrr".into()),
+        (polar(|sample| sample.1), OFF, "Weff".into()),
+        (polar(|sample| sample.2), FULL, "Wrr".into()),
         (samples.iter().map(|(at, ..)| (ring * at.0, ring * at.1)).collect(), FAINT, with_unit(ring, "kg")),
     ];
     let pixel = |v: &[f64]| frame.pixel(v[0], v[1]);
@@ -271,5 +270,11 @@ fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, poin
     draw_axis_names(canvas, &end, point, 1.12 * largest);
     let n = Vector3::new(n[0], n[1], n[2]);
     arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * largest))), BOUND);
-    canvas.text((middle.0, at.1 + side), SMALL, Anchor::Middle, false, &format!("coupling, up to {}", with_unit(largest, "kg")));
+    canvas.text(
+        (middle.0, at.1 + side),
+        SMALL,
+        Anchor::Middle,
+        false,
+        &format!("coupling, up to {}", with_unit(largest, "kg")),
+    );
 }

@@ -68,8 +68,8 @@ pub fn draw(
     let mut notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     let names: Vec<String> = match page.is_narrow() {
-        // Short links have no room for their lengths.
-        true => skeleton.bars.iter().map(|bar| bar.name.to_string()).collect(),
+        // Short links have no room for their names.
+        true => Vec::new(),
         false => skeleton.bars.iter().map(in_full).collect(),
     };
     if page.is_narrow() {

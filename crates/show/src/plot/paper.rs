@@ -117,7 +117,11 @@ impl Heading {
     /// Returns the additional height compared with a title of one line and `usual` lines under it; negative without
     /// them.
     pub fn beyond(&self, usual: usize) -> f64 {
-        let lines = if self.titles.is_empty() { (0.0, 0.0) } else { (self.titles.len() as f64, self.under.len().max(usual) as f64) };
+        let lines = if self.titles.is_empty() {
+            (0.0, 0.0)
+        } else {
+            (self.titles.len() as f64, self.under.len().max(usual) as f64)
+        };
         TITLE.1 * (lines.0 - 1.0) + UNDER.1 * (lines.1 - usual as f64)
     }
 

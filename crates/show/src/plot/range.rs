@@ -86,10 +86,18 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     };
     let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
     let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
-    let inertia =
-        format!("the wall meets Weff = {} without the feed-forward, Wrr = {} with it", mass(range.w_eff), mass(range.w_rr));
+    let inertia = format!(
+        "the wall meets Weff = {} without the feed-forward, Wrr = {} with it",
+        mass(range.w_eff),
+        mass(range.w_rr)
+    );
+    let host = range.host.as_ref().map(|host| {
+        let late = 1e3 * host.delay_s;
+        format!("computer, {:.0} Hz, {late:.1} ms late: the wall as a program renders it over the board", host.rate_hz)
+    });
     let dots = measured().next().map(|_| format!("dots: {}", contents.measured));
-    let notes = [Some(inertia), contents.note.clone(), dots].into_iter().flatten().chain(symbols).collect::<Vec<_>>();
+    let notes =
+        [Some(inertia), host, contents.note.clone(), dots].into_iter().flatten().chain(symbols).collect::<Vec<_>>();
     let notes = page.notes(notes.iter().map(String::as_str));
     let below = frame.at.1 + frame.size.1 + if page.is_narrow() { 48.0 } else { 64.0 };
     let mut canvas = page.canvas(below + notes.height());
@@ -104,8 +112,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         name(points(washout), WASHOUT, format!("washout{corner}"));
     }
     if let Some(host) = &range.host {
-        let late = format!("{:.1}", 1e3 * host.delay_s);
-        name(points(&host.domain), HOST, format!("computer, {:.0} Hz, {late} ms late", host.rate_hz));
+        name(points(&host.domain), HOST, format!("computer, {:.0} Hz", host.rate_hz));
     }
     for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
         name(bound.line.clone(), BOUND, bound.name.into());
@@ -172,7 +179,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
         let (_, y) = frame.pixel(0.0, limit);
         let is_hidden = bottom - y < MIN_VISIBLE || y < frame.at.1;
         bounds.push(Bound {
-            name: "passive, kp ≤ 2 fc/Δ",
+            name: "2 fc/Δ",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
             hidden: is_hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
@@ -183,7 +190,9 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
 
 /// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
-    let mut lines = vec!["passive (Colgate and Schenkel): stable in any hand, without feed-forward".into()];
+    let mut lines = vec![
+        "passive (Colgate and Schenkel), and at kd = 0 kp ≤ 2 fc/Δ: stable in any hand, without feed-forward".into(),
+    ];
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
     if drawn(0) {
         lines.push(format!(

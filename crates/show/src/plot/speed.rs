@@ -59,7 +59,8 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         frame.draw(&mut canvas, mechanism);
         frame.name_curves(&mut canvas, &drawn, &names);
     }
-    canvas.finish(title, "Instructions of the best variants of each mechanism over their error of the force at the tip.")
+    canvas
+        .finish(title, "Instructions of the best variants of each mechanism over their error of the force at the tip.")
 }
 
 /// Returns the terms of a variant, with its trigonometry and mass matrix if they are not the firmware's.

@@ -52,7 +52,9 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three phases, at rest and moving");
-    assert!(picture.contains("repeatCount") && picture.contains("prefers-reduced-motion") && !picture.contains("<script"));
+    assert!(
+        picture.contains("repeatCount") && picture.contains("prefers-reduced-motion") && !picture.contains("<script")
+    );
     // The wall buzzes, rests, and buzzes again.
     let ripples: Vec<f64> =
         picture.split(" N rms</text>").take(3).map(|text| text.rsplit('>').next().unwrap().parse().unwrap()).collect();
