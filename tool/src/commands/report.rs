@@ -180,10 +180,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     check.extend(scene.as_deref());
     add("Device", "The device at home.", Some("device.svg"), &check);
     if !args.without.contains(&Part::Tune) {
-        let mut tune = vec!["tune", &device, &q, &normal, "--rates", rate];
-        if let Some(scene) = &scene {
-            tune.extend(["--scene", scene]);
-        }
+        let tune = ["tune", &device, &q, &normal, "--rates", rate];
         add("Stiffest wall", "Stability is predicted, ripple is simulated.", None, &tune);
     }
     let mut range = vec!["range", &device];
@@ -239,7 +236,12 @@ impl Section {
         command.args(&self.words).stdin(Stdio::null()).env(haptic_stability::sweep::QUIET, "1");
         command.env(DOCUMENT, &document);
         if let Some(picture) = &picture {
-            command.arg("--svg").arg(picture).args(["--width", COLUMN_MM]);
+            command
+                .arg("--svg")
+                .arg(picture)
+                .args(["--width", COLUMN_MM])
+                .arg("--caption")
+                .arg(folder.path().join("caption"));
         }
         match command.output() {
             Ok(output) => Output {
@@ -277,7 +279,7 @@ const STYLE: &str = ":root{color-scheme:light dark}body{font:1rem/1.4 sans-serif
     svg{width:100%;height:auto;background:#fff}.device{max-width:26rem}table{border-collapse:collapse}\
     th,td{text-align:left;vertical-align:top;padding:.35rem .8rem .35rem 0;border-top:1px solid #8888}th{width:11rem}\
     main{display:grid;grid-template-columns:repeat(auto-fit,minmax(20rem,1fr));gap:1rem 2rem;margin-top:2rem}\
-    pre{font-size:.7rem;overflow-x:auto}code{font-size:.75rem;overflow-wrap:anywhere}.notes{font-size:.8rem;white-space:pre-line}\
+    pre{font-size:.7rem;overflow-x:auto}code{font-size:.75rem;overflow-wrap:anywhere}\
     @media print{body{margin:0;max-width:none;font-size:10pt}main{grid-template-columns:1fr 1fr;break-before:page;margin:0}\
     section{break-inside:avoid}details{display:none}.device{max-width:100mm}}";
 
@@ -327,7 +329,7 @@ fn answers(sections: &[Section], outputs: &[Output]) -> Vec<(&'static str, Strin
     let effects = document("Limits").and_then(|limits| limits.pointer("/why/effects")?.as_array());
     let taken = |effect: &Value| effect.pointer("/takes/off").and_then(Value::as_f64).unwrap_or(0.0);
     let worst = effects.and_then(|all| all.iter().max_by(|a, b| taken(a).total_cmp(&taken(b))));
-    add("Limit of stability", stiff("Stable walls", "/off/top/kp").zip(worst).and_then(|(stiffness, effect)| {
+    add("Limit of stability", stiff("Limits", "/why/limits/off/kp_max").zip(worst).and_then(|(stiffness, effect)| {
         Some(format!(
             "Without ripple and margins, walls are stable up to {stiffness}. Most of all it is limited by: {}, which takes {} \
              of the stiffness ({}).",
@@ -404,10 +406,12 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
             section.about,
             escape(&section.line())
         );
-        if !output.notes.trim().is_empty() {
-            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape(output.notes.trim()));
-        }
-        let _ = writeln!(page, "<details><summary>All numbers</summary><pre>{}</pre></details>", escape(&output.text));
+        let _ = writeln!(
+            page,
+            "<details><summary>All numbers</summary><pre>{}{}</pre></details>",
+            escape(&output.notes),
+            escape(&output.text)
+        );
         page.push_str("</section>\n");
     }
     page.push_str("</main>\n</body>\n</html>\n");
