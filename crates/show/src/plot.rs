@@ -67,7 +67,9 @@ impl From<PictureError> for Failure {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     svg: String,
-    /// True if the picture has a size on paper, which then determines its pixels.
+    /// Text that belongs to a picture on paper, but not into it.
+    caption: String,
+    /// True if the picture has a size on paper, which determines its number of pixels.
     #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "only PNG uses it"))]
     printed: bool,
 }
@@ -78,7 +80,12 @@ impl Picture {
         &self.svg
     }
 
-    /// Writes the picture as SVG. Replaces an existing file; callers check for it beforehand ([`output::check`]).
+    /// Returns the text for the caption of a picture on paper; empty for a screen, whose pictures contain it.
+    pub fn caption(&self) -> &str {
+        &self.caption
+    }
+
+    /// Writes the picture as SVG. Replaces an existing file: callers check for one before the work ([`output::check`]).
     pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }

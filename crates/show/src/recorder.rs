@@ -76,7 +76,8 @@ pub struct Recorder {
     path: PathBuf,
     block: String,
     columns: usize,
-    /// Number of rows in the file.
+    has_comments: bool,
+    /// Number of rows in the file, and number of rows in the block.
     rows: u64,
     /// Number of rows in the block.
     gathered: u64,
@@ -94,7 +95,8 @@ pub enum RecordError {
 }
 
 impl Recorder {
-    /// Creates the file (`-`: standard output), and writes `about` as comment lines and the column names.
+    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
+    /// columns. With an empty `about` the file has no comments at all.
     pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput
@@ -107,6 +109,7 @@ impl Recorder {
             path: path.into(),
             block: String::new(),
             columns: columns.len(),
+            has_comments: !about.is_empty(),
             rows: 0,
             gathered: 0,
             bytes: 0,
@@ -128,9 +131,9 @@ impl Recorder {
         }
     }
 
-    /// Adds comment lines.
+    /// Adds comment lines, if the file has any.
     pub fn add_comment(&mut self, text: &str) {
-        for line in text.lines() {
+        for line in text.lines().filter(|_| self.has_comments) {
             self.block.push_str("# ");
             self.block.push_str(line);
             self.block.push('\n');
@@ -254,7 +257,10 @@ impl RowWriter {
         match self {
             Self::Mcap(recorder) => recorder.add_row(step, time, row),
             Self::Csv(recorder, columns) => {
-                let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
+                let values = columns.iter().zip(row).map(|(column, value)| match Value::of(column, *value) {
+                    Value::Word(_) if !recorder.has_comments => Value::Number(*value),
+                    value => value,
+                });
                 let row: Vec<Value> =
                     [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
                 recorder.add_row(&row)

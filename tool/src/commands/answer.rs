@@ -3,10 +3,14 @@
 use super::force::ForceOption;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
+use haptic_host::output::{self, Overwrite};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::{Picture, PictureError};
 use serde::Serialize;
 use std::path::PathBuf;
+
+/// Environment variable with the path of a file that gets the document in addition to the printed text.
+pub const DOCUMENT: &str = "HAPTIC_DOCUMENT";
 
 /// `--json`, an option of every command that has results to print.
 #[derive(Clone, Copy, clap::Args)]
@@ -21,8 +25,12 @@ impl Json {
         self.requested
     }
 
-    /// Prints the document with `--json`, otherwise the text `words`.
+    /// Prints the document with `--json`, otherwise the text `words`. `haptic report` asks for both ([`DOCUMENT`]).
     pub fn answer(self, document: impl Serialize, words: &str) -> Result<(), Failure> {
+        if let Some(path) = std::env::var_os(DOCUMENT) {
+            let text = serde_json::to_string(&document).map_err(Failure::impossible)?;
+            std::fs::write(path, text).map_err(Failure::impossible)?;
+        }
         if self.requested { print_json(document) } else { print(words) }
     }
 }
@@ -40,6 +48,9 @@ pub struct Pictures {
     /// screen]
     #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
+    /// Write the text that belongs under a picture with --width into this file [default: standard error]
+    #[arg(long, value_name = "FILE", requires = "width")]
+    caption: Option<PathBuf>,
     #[command(flatten)]
     force: ForceOption,
 }
@@ -56,6 +67,7 @@ fn parse_width(text: &str) -> Result<f64, String> {
 impl Pictures {
     /// Returns an error, before the work, for files that could not be written after it.
     pub fn check(&self) -> Result<(), Failure> {
+        self.force.check(&self.caption)?;
         self.force.check_pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
@@ -69,6 +81,12 @@ impl Pictures {
 
     pub fn save(&self, picture: &Picture) -> Result<(), PictureError> {
         self.svg.as_deref().map_or(Ok(()), |path| picture.save_svg(path))?;
-        self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))
+        self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))?;
+        match &self.caption {
+            Some(path) => output::write(path, format!("{}\n", picture.caption()).as_bytes(), Overwrite::Replace)?,
+            None if picture.caption().is_empty() => {}
+            None => haptic_host::tell!("caption: {}", picture.caption()),
+        }
+        Ok(())
     }
 }

@@ -6,7 +6,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output;
 use haptic_show::demo::comparison::Comparison;
-use haptic_show::demo::crossing::{Crossing, run as cross};
+use haptic_show::demo::crossing::{Crossing, run as cross, switched};
 use haptic_show::demo::picture::draw;
 use haptic_show::demo::stiffness::{StiffnessLimit, stiffness_limit};
 use haptic_show::demo::{Demo, Inertia};
@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Let a simulated hand press on a wall, without and with the feed-forward, and see the benefit
 ///
 /// Runs a simulated board with the firmware's own control code over the real protocol: no hardware needed, a few
-/// seconds. Prints a table and draws distance and force into an SVG file.
+/// seconds. Prints a table and draws a moving picture into an SVG file, for a browser.
 #[derive(clap::Args)]
 pub struct Args {
     /// File for the picture [default: haptic-demo.svg, or with a number if that exists]
@@ -98,7 +98,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     bar.finish();
     let results = Results { inertia: demo.inertia()?, crossings, limits };
     let svg = args.svg.unwrap_or_else(|| output::unused_path("haptic-demo.svg".as_ref()));
-    draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
+    let [without, with] = &results.crossings;
+    let (shown, moments) = switched()?;
+    draw(&shown, &moments, without, with).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
     let words = format!("{}picture: {place}\n", format_report(&demo, &results));

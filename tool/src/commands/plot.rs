@@ -58,6 +58,7 @@ fn parse_views(text: &str) -> Result<Views, String> {
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let recording = Recording::load(&args.file)?;
+    let has_views = args.show.is_some();
     let request = Request {
         views: args.show.map_or(Vec::new(), |views| views.0),
         signals: args.signals,
@@ -67,11 +68,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let analysis = panels(&recording, &request)?;
     if args.pictures.is_requested() {
         let value = |word: &str| recording.header_value(word).unwrap_or("unknown");
-        let title = format!("{}, {}", value("device"), value("date"));
+        let title = format!("{} in contact with a wall, recorded {}", value("device"), value("date"));
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
         let mut subtitle = vec![format!("board {}; control rate {}", value("board"), value("control rate"))];
         subtitle.extend(walls.into_iter().take(3));
-        let picture = draw(&title, &subtitle, &analysis, args.pictures.paper());
+        let mut drawn = analysis.clone();
+        if args.pictures.paper().is_printed() && !has_views {
+            // A column of a paper has room for two views.
+            drawn.panels.retain(|panel| matches!(panel.view, View::Time | View::Force));
+        }
+        let picture = draw(&title, &subtitle, &drawn, args.pictures.paper());
         args.pictures.save(&picture)?;
     }
     let device = args.device.as_ref().map(DeviceFile::load).transpose()?;

@@ -10,8 +10,7 @@ use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::device_file::DeviceFile;
-use haptic_host::digits::print_json;
-use haptic_host::error::{Failure, print};
+use haptic_host::error::Failure;
 use haptic_predict::boards::BoardKind;
 use haptic_predict::plausible::{FileWarning, WithWarnings, warn};
 use haptic_show::plot::range::{Contents, draw};
@@ -249,7 +248,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         // Draws the complete boundary even if single points were requested.
         let complete = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
-            title: format!("{}: stable walls, predicted", file.name),
+            title: match &complete.host {
+                Some(host) => format!(
+                    "{}: {:.0} times as stiff as from a computer at {:.0} Hz",
+                    file.name,
+                    complete.off.top.kp / host.domain.top.kp.max(f64::MIN_POSITIVE),
+                    host.rate_hz
+                ),
+                None => format!("{}: stable walls, predicted", file.name),
+            },
             subtitle: subtitle(&args, &q, &normals, range.area_ratio),
             range: &complete,
             passivity: passivity.as_ref(),
@@ -262,16 +269,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         });
         args.pictures.save(&picture)?;
     }
-    if args.json.is_requested() {
-        let request = Request::of(&args, &prediction, &q, &members);
-        let passive = passivity.as_ref().map(PassiveBounds::of);
-        let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
-        print_json(WithWarnings { result: &result, warnings: &warnings })?;
-    } else {
-        print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
-        why.map_or(Ok(()), |why| print(&describe_why(&why)))?;
-        ripple.map_or(Ok(()), |ripple| print(&ripple.describe()))?;
-    }
+    let mut words = readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &device.0);
+    words.extend(why.as_ref().map(describe_why));
+    words.extend(ripple.as_ref().map(EncoderRipple::describe));
+    let request = Request::of(&args, &prediction, &q, &members);
+    let passive = passivity.as_ref().map(PassiveBounds::of);
+    let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
+    args.json.answer(WithWarnings { result: &result, warnings: &warnings }, &words)?;
     sweep.finish();
     Ok(())
 }

@@ -22,6 +22,10 @@ const DEFAULT_FIELDS: Fields = Fields(
 pub struct Args {
     /// File to write, .mcap or .csv; - is CSV to standard output
     file: PathBuf,
+    /// Write a CSV file with one line of names and otherwise numbers alone, for numpy, Matlab or a spreadsheet; `haptic
+    /// replay` cannot compute it again
+    #[arg(long)]
+    plain: bool,
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
@@ -50,6 +54,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let reason = format!("{} ends neither in .mcap nor in .csv", args.file.display());
         return Err(Failure::wrong(reason).remedy("name a file with one of these extensions, which selects the format"));
     }
+    if args.plain && extension.as_deref() == Some("mcap") {
+        return Err(Failure::wrong("--plain applies to CSV").remedy("name a .csv file, or leave --plain out"));
+    }
     args.force.check([&args.file])?;
     let mut board = args.port.open()?;
     let fields = args.fields.unwrap_or(DEFAULT_FIELDS);
@@ -63,6 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let options = Options {
         file: Some(&args.file),
+        plain: args.plain,
         overwrite: args.force.overwrite(),
         fields,
         rate,

@@ -66,6 +66,8 @@ enum Sink {
 /// Fields to follow, and the destination of their rows.
 pub(super) struct Options<'a> {
     pub file: Option<&'a Path>,
+    /// True for a CSV file with numbers and names of columns alone.
+    pub plain: bool,
     pub overwrite: Overwrite,
     pub fields: Fields,
     pub rate: f64,
@@ -78,6 +80,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let options = Options {
         file: None,
+        plain: false,
         overwrite: Overwrite::Never,
         fields: args.fields,
         rate: args.rate,
@@ -103,6 +106,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     }
     let columns = columns(options.fields, axes);
     let about = options.file.map(|_| About::read(board, divider)).transpose()?;
+    let about = about.map(|about| if options.plain { about.plain() } else { about });
     let stop = interrupt::watch();
     board.keep_alive();
     board.start_stream(options.fields, divider)?;

@@ -8,8 +8,7 @@ use super::force::ForceOption;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_host::device_file::DeviceFile;
-use haptic_host::digits::print_json;
-use haptic_host::error::{Failure, print};
+use haptic_host::error::Failure;
 use haptic_host::link::{Board, PortSpec};
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
@@ -234,11 +233,6 @@ fn search(args: Search) -> Result<(), Failure> {
         measured: best_measured.as_ref(),
         scene_measured: scene_measured.as_ref(),
     };
-    if args.json.is_requested() {
-        print_json(&document)?;
-        sweep.finish();
-        return Ok(());
-    }
     let mut text = readable(&document);
     if let Some(out) = &args.out {
         let _ = writeln!(text, "written to {}", out.display());
@@ -246,7 +240,7 @@ fn search(args: Search) -> Result<(), Failure> {
     if let Some(board) = &board {
         let _ = writeln!(text, "loaded on {}", board.port());
     }
-    print(&text)?;
+    args.json.answer(&document, &text)?;
     sweep.finish();
     Ok(())
 }

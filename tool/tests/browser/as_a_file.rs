@@ -2,33 +2,33 @@
 
 use super::common::root;
 use super::devtools::{Browser, Tab};
-use super::{LAPTOP, as_an_expert, by_the_wall, drag_the_wall, on_plane};
+use super::{LAPTOP, as_an_expert, place_before_wall, drag_the_wall, plane_place};
 
 pub fn path() -> String {
     std::env::var("HAPTIC_PLAYGROUND")
         .unwrap_or_else(|_| root().join("target/playground/haptic-page.html").display().to_string())
 }
 
-fn opened() -> (Browser, Tab) {
+fn open_page() -> (Browser, Tab) {
     let mut browser = Browser::start();
     let tab = browser.open(&format!("file://{}", path()), LAPTOP, 1.0);
-    browser.until(
+    browser.wait_until(
         &tab,
         "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
     );
-    browser.front(&tab);
+    browser.bring_to_front(&tab);
     as_an_expert(&mut browser, &tab);
     (browser, tab)
 }
 
 #[test]
 fn the_page_as_a_file_is_alive_and_requests_nothing() {
-    let (mut browser, tab) = opened();
+    let (mut browser, tab) = open_page();
     let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
     let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
-    browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
+    browser.wait_until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
     browser.evaluate(&tab, "$('sound').click()");
-    browser.until(&tab, "view.sounds > 5");
+    browser.wait_until(&tab, "view.sounds > 5");
     assert_eq!(
         browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"),
         true,
@@ -38,24 +38,24 @@ fn the_page_as_a_file_is_alive_and_requests_nothing() {
     assert_eq!(browser.evaluate(&tab, "$('record').offsetParent"), serde_json::Value::Null);
     let own = format!("file://{}", path());
     let asked: Vec<String> =
-        browser.requested().into_iter().filter(|url| *url != own && url != "about:blank").collect();
+        browser.requested_urls().into_iter().filter(|url| *url != own && url != "about:blank").collect();
     assert!(asked.iter().all(|url| url.starts_with("data:") || url.starts_with("blob:null/")), "{asked:?}");
-    assert_eq!(browser.complaints(), [""; 0]);
+    assert_eq!(browser.console_errors(), [""; 0]);
     // The page's content security policy blocks requests.
     browser.evaluate(
         &tab,
         "view.forbidden = []; addEventListener('securitypolicyviolation', e => view.forbidden.push(e.effectiveDirective)); \
          fetch('http://127.0.0.1:9/').catch(() => 0); new Image().src = 'http://127.0.0.1:9/';",
     );
-    browser.until(&tab, "view.forbidden.includes('connect-src') && view.forbidden.includes('img-src')");
+    browser.wait_until(&tab, "view.forbidden.includes('connect-src') && view.forbidden.includes('img-src')");
 }
 
 #[test]
 fn the_page_as_a_file_changes_gains_walls_and_devices() {
-    let (mut browser, tab) = opened();
-    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
+    let (mut browser, tab) = open_page();
+    let (from, to) = (plane_place(&mut browser, &tab, 80.0, 8700.0), plane_place(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
-    browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
+    browser.wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
     drag_the_wall(&mut browser, &tab);
     let count = browser.evaluate(&tab, "$('choice').length").as_u64().unwrap();
     assert!(count >= 5, "{count} devices");
@@ -65,7 +65,7 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
             &tab,
             &format!("$('choice').selectedIndex = {choice}; $('choice').dispatchEvent(new Event('change'))"),
         );
-        browser.until(
+        browser.wait_until(
             &tab,
             &format!(
                 "view.hello && $('choice').selectedOptions[0].text.startsWith(shown() + ':') && view.pictures > {} && \
@@ -79,22 +79,22 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
     let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy/groove&pose=1.9,1.1", "haply-2diy")];
     for (link, device) in links {
         browser.evaluate(&tab, &format!("location.hash = '{link}'"));
-        browser.until(
+        browser.wait_until(
             &tab,
             &format!("view.hello?.device === '{device}' && view.last && view.wanted === null && view.pictures > 10"),
         );
     }
     browser
-        .until(&tab, "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
+        .wait_until(&tab, "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
     browser.evaluate(&tab, "location.hash = 'device=nothing'");
-    browser.until(&tab, "$('why').textContent.includes('s device nothing')");
+    browser.wait_until(&tab, "$('why').textContent.includes('s device nothing')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
-    browser.until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
+    browser.wait_until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
     // Choosing the demo again resets it, and its hand follows the mouse.
     assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout");
-    let place = by_the_wall(&mut browser, &tab, 0.03);
-    browser.mouse(&tab, "mousePressed", place);
-    browser.mouse(&tab, "mouseReleased", place);
-    browser.until(&tab, "view.last.hand !== null");
-    assert_eq!(browser.complaints(), [""; 0]);
+    let place = place_before_wall(&mut browser, &tab, 0.03);
+    browser.send_mouse(&tab, "mousePressed", place);
+    browser.send_mouse(&tab, "mouseReleased", place);
+    browser.wait_until(&tab, "view.last.hand !== null");
+    assert_eq!(browser.console_errors(), [""; 0]);
 }

@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
 /// Longest wait; only a page that hangs takes longer.
-pub const PATIENCE: Duration = Duration::from_secs(300);
+pub const TIMEOUT: Duration = Duration::from_secs(300);
 
-const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
-const MISSING: &str =
+const BROWSER_NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
+const NO_BROWSER: &str =
     "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
 /// A running browser with a new profile.
 pub struct Browser {
@@ -41,7 +41,7 @@ pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStr
 
 impl Browser {
     pub fn start() -> Self {
-        let program = NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(MISSING);
+        let program = BROWSER_NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(NO_BROWSER);
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new(program)
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
@@ -77,16 +77,16 @@ impl Browser {
         let attached = self.call(None, "Target.attachToTarget", json!({"targetId": target, "flatten": true}));
         let tab = Tab { session: attached["sessionId"].as_str().unwrap().into(), target };
         for domain in ["Network", "Page", "Runtime", "Log"] {
-            self.ask(&tab, &format!("{domain}.enable"), json!({}));
+            self.call_page(&tab, &format!("{domain}.enable"), json!({}));
         }
         self.size(&tab, (width, height), scale);
-        self.ask(&tab, "Page.navigate", json!({"url": url}));
+        self.call_page(&tab, "Page.navigate", json!({"url": url}));
         tab
     }
 
     pub fn size(&mut self, tab: &Tab, (width, height): (u32, u32), scale: f64) {
         let size = json!({"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600});
-        self.ask(tab, "Emulation.setDeviceMetricsOverride", size);
+        self.call_page(tab, "Emulation.setDeviceMetricsOverride", size);
     }
 
     pub fn close(&mut self, tab: &Tab) {
@@ -94,7 +94,7 @@ impl Browser {
     }
 
     /// Calls a method on a page.
-    pub fn ask(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
+    pub fn call_page(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
         self.call(Some(&tab.session), method, parameters)
     }
 
@@ -106,9 +106,9 @@ impl Browser {
             message["sessionId"] = json!(session);
         }
         self.socket.send(Message::text(message.to_string())).unwrap();
-        let began = Instant::now();
+        let start = Instant::now();
         loop {
-            assert!(began.elapsed() < PATIENCE, "no reply to {method}");
+            assert!(start.elapsed() < TIMEOUT, "no reply to {method}");
             let Some(answer) = self.read() else { continue };
             if answer["id"] == id {
                 assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
@@ -138,23 +138,23 @@ impl Browser {
 
     /// Evaluates an expression on a page.
     pub fn evaluate(&mut self, tab: &Tab, expression: &str) -> Value {
-        let answer = self.ask(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
+        let answer = self.call_page(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
         answer["result"]["value"].clone()
     }
 
     /// Waits until an expression is true on a page.
-    pub fn until(&mut self, tab: &Tab, expression: &str) {
-        let began = Instant::now();
+    pub fn wait_until(&mut self, tab: &Tab, expression: &str) {
+        let start = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.not_beyond_patience(tab, began, expression);
+            self.check_timeout(tab, start, expression);
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    fn not_beyond_patience(&mut self, tab: &Tab, began: Instant, expression: &str) {
-        if began.elapsed() > PATIENCE {
-            let seen = self.evaluate(
+    fn check_timeout(&mut self, tab: &Tab, start: Instant, expression: &str) {
+        if start.elapsed() > TIMEOUT {
+            let page_state = self.evaluate(
                 tab,
                 "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
             );
@@ -166,15 +166,15 @@ impl Browser {
     /// again, presses Space, which moves the hand out of a wall, and leads the hand back to `view.goal`.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
-        let began = Instant::now();
+        let start = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.not_beyond_patience(tab, began, expression);
+            self.check_timeout(tab, start, expression);
             if self.evaluate(tab, ARMED) != true {
-                self.space(tab, "keyUp");
+                self.send_space(tab, "keyUp");
                 self.evaluate(tab, "if (view.last.command === null) $('take').click()");
-                self.space(tab, "keyDown");
-                let pressed = Instant::now();
-                while self.evaluate(tab, ARMED) != true && pressed.elapsed() < Duration::from_secs(3) {
+                self.send_space(tab, "keyDown");
+                let press_time = Instant::now();
+                while self.evaluate(tab, ARMED) != true && press_time.elapsed() < Duration::from_secs(3) {
                     std::thread::sleep(Duration::from_millis(20));
                 }
                 self.evaluate(tab, "if (view.goal) say({do: 'hand', at: view.goal})");
@@ -184,41 +184,41 @@ impl Browser {
     }
 
     /// Sends a mouse event of the type `what` at a place in CSS pixels.
-    pub fn mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
+    pub fn send_mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
         let down = u8::from(what != "mouseReleased");
         let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
-        self.ask(tab, "Input.dispatchMouseEvent", event);
+        self.call_page(tab, "Input.dispatchMouseEvent", event);
     }
 
     pub fn drag(&mut self, tab: &Tab, from: (f64, f64), to: (f64, f64)) {
-        self.mouse(tab, "mousePressed", from);
+        self.send_mouse(tab, "mousePressed", from);
         for step in 1..=10 {
             let share = f64::from(step) / 10.0;
-            self.mouse(tab, "mouseMoved", (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1)));
+            self.send_mouse(tab, "mouseMoved", (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1)));
             std::thread::sleep(Duration::from_millis(25));
         }
-        self.mouse(tab, "mouseReleased", to);
+        self.send_mouse(tab, "mouseReleased", to);
     }
 
-    pub fn space(&mut self, tab: &Tab, what: &str) {
+    pub fn send_space(&mut self, tab: &Tab, what: &str) {
         let event = json!({"type": what, "key": " ", "code": "Space", "windowsVirtualKeyCode": 32});
-        self.ask(tab, "Input.dispatchKeyEvent", event);
+        self.call_page(tab, "Input.dispatchKeyEvent", event);
     }
 
     /// Brings a page to the front, where it receives the keys.
-    pub fn front(&mut self, tab: &Tab) {
-        self.ask(tab, "Page.bringToFront", json!({}));
-        self.ask(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
+    pub fn bring_to_front(&mut self, tab: &Tab) {
+        self.call_page(tab, "Page.bringToFront", json!({}));
+        self.call_page(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
     }
 
     /// Returns a screenshot of a page as PNG.
-    pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
-        let answer = self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
+    pub fn save_picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
+        let answer = self.call_page(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
         base64(answer["data"].as_str().unwrap())
     }
 
     /// Returns the addresses that pages have requested.
-    pub fn requested(&self) -> Vec<String> {
+    pub fn requested_urls(&self) -> Vec<String> {
         let urls = self.events.iter().filter_map(|(_, event)| match event["method"].as_str()? {
             "Network.requestWillBeSent" => event["params"]["request"]["url"].as_str(),
             "Network.webSocketCreated" => event["params"]["url"].as_str(),
@@ -228,14 +228,14 @@ impl Browser {
     }
 
     /// Returns the exceptions and the errors on the console.
-    pub fn complaints(&self) -> Vec<String> {
-        let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
+    pub fn console_errors(&self) -> Vec<String> {
+        let page_errors = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
             Some("Log.entryAdded") => event["params"]["entry"]["level"] == "error",
             Some("Runtime.consoleAPICalled") => event["params"]["type"] == "error",
             _ => false,
         });
-        wrong.map(|(_, event)| event["params"].to_string()).collect()
+        page_errors.map(|(_, event)| event["params"].to_string()).collect()
     }
 }
 

@@ -3,9 +3,9 @@
 
 use super::LAPTOP;
 use super::as_a_file::path;
-use super::common::sim::{Sim, until};
-use super::common::{file, root};
-use super::devtools::{Browser, PATIENCE, Tab, base64, connect};
+use super::common::sim::{Sim, wait_until};
+use super::common::{shipped_path, root};
+use super::devtools::{Browser, TIMEOUT, Tab, base64, connect};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, TcpWire};
 use serde_json::{Value, json};
@@ -18,7 +18,7 @@ use tungstenite::Message;
 
 /// Fake serial port that behaves like Chromium's. `arrive` delivers bytes to the page, `toBoard` sends bytes to the
 /// board, and `pull` unplugs the port.
-const PORT: &str = r#"
+const FAKE_PORT_SCRIPT: &str = r#"
     window.test = { asked: [], refuses: null };
     let incoming = null;
     const port = {
@@ -58,15 +58,15 @@ impl Cable {
         let mut board = TcpStream::connect(board.trim_start_matches("tcp:")).unwrap();
         board.set_nodelay(true).unwrap();
         board.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
-        browser.ask(tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("{{{PORT}}}")}));
-        let ask = |method: &str, parameters: Value| {
+        browser.call_page(tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("{{{PORT}}}")}));
+        let call_page = |method: &str, parameters: Value| {
             Message::text(json!({"id": 1, "method": method, "params": parameters}).to_string())
         };
         for (method, parameters) in [("Runtime.enable", json!({})), ("Runtime.addBinding", json!({"name": "toBoard"}))]
         {
-            page.send(ask(method, parameters)).unwrap();
+            page.send(call_page(method, parameters)).unwrap();
             // Wait for the reply, so that the method takes effect before the page loads.
-            until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
+            wait_until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
         }
         Self(spawn(move || {
             let mut bytes = vec![0; 65_536];
@@ -75,7 +75,7 @@ impl Cable {
                     Ok(0) => return board,
                     Ok(count) => {
                         let arrive = format!("window.arrive && arrive('{}')", to_base64(&bytes[..count]));
-                        if page.send(ask("Runtime.evaluate", json!({"expression": arrive}))).is_err() {
+                        if page.send(call_page("Runtime.evaluate", json!({"expression": arrive}))).is_err() {
                             return board;
                         }
                     }
@@ -123,35 +123,35 @@ fn page(board: &str) -> (Browser, Tab, Cable) {
     let mut browser = Browser::start();
     let tab = browser.open("about:blank", LAPTOP, 1.0);
     let cable = Cable::plug(&mut browser, &tab, board);
-    show(&mut browser, &tab);
+    load_page(&mut browser, &tab);
     (browser, tab, cable)
 }
 
-fn show(browser: &mut Browser, tab: &Tab) {
-    browser.ask(tab, "Page.navigate", json!({"url": format!("file://{}", path())}));
-    browser.until(tab, "Boolean(window.view && view.hello?.simulated && view.pictures > 3)");
-    browser.front(tab);
+fn load_page(browser: &mut Browser, tab: &Tab) {
+    browser.call_page(tab, "Page.navigate", json!({"url": format!("file://{}", path())}));
+    browser.wait_until(tab, "Boolean(window.view && view.hello?.simulated && view.pictures > 3)");
+    browser.bring_to_front(tab);
 }
 
 /// Opens the board that is plugged in.
 fn open(browser: &mut Browser, tab: &Tab) {
     browser.evaluate(tab, "view.pictures = 0; $('open').click()");
     let there = "view.hello?.simulated === false && view.pictures > 3 && document.body.dataset.role === 'command'";
-    browser.until(tab, there);
+    browser.wait_until(tab, there);
     assert_eq!(browser.evaluate(tab, "$('open').textContent"), "Close the board");
 }
 
 /// Holds Space until the motors are on. Presses Space again if page or board released the key on a slow computer.
-fn hold(browser: &mut Browser, tab: &Tab) {
-    let began = Instant::now();
+fn hold_space(browser: &mut Browser, tab: &Tab) {
+    let start = Instant::now();
     while browser.evaluate(tab, ARMED) != true {
-        let told = browser.evaluate(tab, "$('why').textContent");
-        assert!(began.elapsed() < PATIENCE, "the motors stay off: {told}");
-        browser.space(tab, "keyUp");
+        let notice = browser.evaluate(tab, "$('why').textContent");
+        assert!(start.elapsed() < TIMEOUT, "the motors stay off: {told}");
+        browser.send_space(tab, "keyUp");
         browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
         browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
-        browser.until(tab, "document.body.dataset.state === 'Disarmed'");
-        browser.space(tab, "keyDown");
+        browser.wait_until(tab, "document.body.dataset.state === 'Disarmed'");
+        browser.send_space(tab, "keyDown");
         for _ in 0..50 {
             if browser.evaluate(tab, ARMED) == true {
                 break;
@@ -162,61 +162,61 @@ fn hold(browser: &mut Browser, tab: &Tab) {
 }
 
 /// Opens a board that can be armed, uses its gains and its key, and kills the browser with the motors on.
-fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
+fn use_until_browser_dies(board: &str, device: &str, name: &str) {
     let (mut browser, tab, cable) = page(board);
     open(&mut browser, &tab);
     assert_eq!(browser.evaluate(&tab, "$('device').textContent"), device);
-    let on = browser.evaluate(&tab, "$('board').textContent").as_str().unwrap().to_string();
-    assert!(on.starts_with(name) && on.contains("on USB"), "{on}");
-    browser.until(&tab, "$('why').textContent.includes('real motors')");
+    let place_on = browser.evaluate(&tab, "$('board').textContent").as_str().unwrap().to_string();
+    assert!(place_on.starts_with(name) && place_on.contains("on USB"), "{on}");
+    browser.wait_until(&tab, "$('why').textContent.includes('real motors')");
     assert_eq!(browser.evaluate(&tab, "test.asked[0].filters[0].usbVendorId"), 0x1209);
     assert_eq!(browser.evaluate(&tab, "$('let-go').hidden && $('record').hidden"), true);
     // Scope and boundary are shown for this board.
-    browser.until(&tab, "view.sweeps > 5 && view.plane !== null");
+    browser.wait_until(&tab, "view.sweeps > 5 && view.plane !== null");
     // New gains take effect on the board.
     browser.evaluate(&tab, "$('stiffness').value = '123'; $('stiffness').onchange()");
-    browser.until(&tab, "view.walls[0].stiffness === 123");
+    browser.wait_until(&tab, "view.walls[0].stiffness === 123");
     // The motors go off if the key is released, if the page is hidden, and if the page hangs.
-    hold(&mut browser, &tab);
-    browser.space(&tab, "keyUp");
-    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
-    hold(&mut browser, &tab);
+    hold_space(&mut browser, &tab);
+    browser.send_space(&tab, "keyUp");
+    browser.wait_until(&tab, "document.body.dataset.state === 'Disarmed'");
+    hold_space(&mut browser, &tab);
     browser.evaluate(
         &tab,
         "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); \
          document.dispatchEvent(new Event('visibilitychange')); delete document.hidden;",
     );
-    browser.until(&tab, "document.body.dataset.state === 'Disarmed' && !view.down");
-    hold(&mut browser, &tab);
+    browser.wait_until(&tab, "document.body.dataset.state === 'Disarmed' && !view.down");
+    hold_space(&mut browser, &tab);
     // Block the page for 1.5 s of its own clock, because an emulated board is slow on a busy computer.
     browser.evaluate(&tab, "(() => { const until = performance.now() + 1500; while (performance.now() < until); })()");
-    browser.until(&tab, &format!("!({ARMED}) && !view.last.held"));
+    browser.wait_until(&tab, &format!("!({ARMED}) && !view.last.held"));
     browser.evaluate(&tab, "window.then = view.pictures");
-    browser.until(&tab, "view.pictures > then + 10");
+    browser.wait_until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, ARMED), false, "a key that stayed down must not arm again");
     println!("{device}: {}", browser.evaluate(&tab, "view.last.losses"));
     if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        std::fs::write(format!("{folder}/serial-{device}.png"), browser.picture(&tab, false)).unwrap();
+        std::fs::write(format!("{folder}/serial-{device}.png"), browser.save_picture(&tab, false)).unwrap();
     }
-    hold(&mut browser, &tab);
-    assert_eq!(browser.complaints(), [""; 0]);
+    hold_space(&mut browser, &tab);
+    assert_eq!(browser.console_errors(), [""; 0]);
     drop(browser);
     let mut board = cable.board();
-    until("the motors off", || board.status().unwrap().state != State::Armed);
+    wait_until("the motors off", || board.status().unwrap().state != State::Armed);
     // A page that had to wait may have released the key before the browser died.
     let fault = board.status().unwrap().fault.map(|record| record.fault);
     assert!(fault.is_none_or(|fault| fault == Fault::KeyReleased), "{fault:?}");
     assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
 }
 
-fn simulated() -> Sim {
-    Sim::start(&[&file("haply-2diy.toml"), "--scene", &file("scenes/haply-2diy/disc.toml")])
+fn simulated_board() -> Sim {
+    Sim::start(&[&shipped_path("haply-2diy.toml"), "--scene", &shipped_path("scenes/haply-2diy/disc.toml")])
 }
 
 #[test]
 fn a_simulated_board_disarms_when_the_browser_dies() {
-    let sim = simulated();
-    used_until_the_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
+    let sim = simulated_board();
+    use_until_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
 }
 
 /// Process of the emulated board.
@@ -245,67 +245,67 @@ fn the_emulated_board_disarms_when_the_browser_dies() {
     spawn(move || lines.for_each(drop));
     let tool = |arguments: &[&str]| drop(super::common::haptic(arguments).args(["--port", &port]).assert().success());
     tool(&["device", &device.unwrap()]);
-    tool(&["scene", &file("scenes/pantograph-mk2/corner.toml")]);
+    tool(&["scene", &shipped_path("scenes/pantograph-mk2/corner.toml")]);
     tool(&["home"]);
     tool(&["polarity", "--yes"]);
-    used_until_the_browser_dies(&port, "pantograph-mk2", "odrive-v3");
+    use_until_browser_dies(&port, "pantograph-mk2", "odrive-v3");
 }
 
 #[test]
 fn an_unplugged_board_is_reported_and_opened_again() {
-    let sim = simulated();
+    let sim = simulated_board();
     let (mut browser, tab, cable) = page(&sim.port);
     open(&mut browser, &tab);
-    hold(&mut browser, &tab);
+    hold_space(&mut browser, &tab);
     browser.evaluate(&tab, "pull()");
-    browser.until(&tab, "document.body.dataset.state === 'Lost' && !view.down");
+    browser.wait_until(&tab, "document.body.dataset.state === 'Lost' && !view.down");
     let why = browser.evaluate(&tab, "$('why').textContent").as_str().unwrap().to_string();
     assert!(why.contains("The device has been lost") && why.contains("motors"), "{why}");
-    browser.space(&tab, "keyUp");
+    browser.send_space(&tab, "keyUp");
     assert_eq!(browser.evaluate(&tab, "$('open').textContent"), "Open a board");
     // The simulation returns only on request.
     browser.evaluate(&tab, "window.then = view.pictures");
     std::thread::sleep(Duration::from_millis(1500));
     assert_eq!(browser.evaluate(&tab, "view.pictures === then && document.body.dataset.state === 'Lost'"), true);
     open(&mut browser, &tab);
-    let mut board = closed(browser, &tab, cable);
+    let mut board = close_armed_board(browser, &tab, cable);
     // If the page had to wait for half a second, the board has released the key by itself; then try again.
-    let began = Instant::now();
+    let start = Instant::now();
     while board.status().unwrap().fault.is_some_and(|record| record.fault == Fault::KeyReleased) {
-        assert!(began.elapsed() < PATIENCE, "closing does not turn the motors off");
+        assert!(start.elapsed() < TIMEOUT, "closing does not turn the motors off");
         board.clear().unwrap();
         drop(board);
         let (mut browser, tab, cable) = page(&sim.port);
         open(&mut browser, &tab);
-        board = closed(browser, &tab, cable);
+        board = close_armed_board(browser, &tab, cable);
     }
     let status = board.status().unwrap();
     assert_eq!((status.state, status.fault), (State::Disarmed, None));
 }
 
 /// Closes the board in the page while its motors are on, and returns the board.
-fn closed(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
-    hold(&mut browser, tab);
+fn close_armed_board(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
+    hold_space(&mut browser, tab);
     browser.evaluate(tab, "$('open').click()");
     let simulation = "view.hello?.simulated && view.pictures > 10";
-    browser.until(tab, &format!("{simulation} && !open_port()"));
+    browser.wait_until(tab, &format!("{simulation} && !open_port()"));
     let name = "$('open').textContent === 'Open a board' && $('choice').selectedIndex === 0";
     assert_eq!(browser.evaluate(tab, name), true);
-    assert_eq!(browser.complaints(), [""; 0]);
+    assert_eq!(browser.console_errors(), [""; 0]);
     drop(browser);
     cable.board()
 }
 
 #[test]
 fn a_refused_board_is_explained_and_the_simulation_continues() {
-    let sim = Sim::start(&[&file("haply-2diy.toml")]);
+    let sim = Sim::start(&[&shipped_path("haply-2diy.toml")]);
     let (mut browser, tab, _cable) = page(&sim.port);
-    let refused = |browser: &mut Browser, words: &str| {
+    let check_refusal = |browser: &mut Browser, words: &str| {
         browser.evaluate(&tab, "notice(''); view.pictures = 0; $('open').click()");
-        let said = format!(
+        let shows_cause = format!(
             "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
         );
-        browser.until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
+        browser.wait_until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
         assert_eq!(
             browser
                 .evaluate(&tab, "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'"),
@@ -313,17 +313,17 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
         );
     };
     browser.evaluate(&tab, "test.refuses = 'Failed to open serial port.'");
-    refused(&mut browser, "Failed to open serial port.");
+    check_refusal(&mut browser, "Failed to open serial port.");
     browser.evaluate(&tab, "test.refuses = null");
-    refused(&mut browser, "haptic scene");
-    browser.until(&tab, "!open_port()");
+    check_refusal(&mut browser, "haptic scene");
+    browser.wait_until(&tab, "!open_port()");
     // Closing the browser's list of ports changes nothing.
     browser.evaluate(
         &tab,
         "navigator.serial.requestPort = () => Promise.reject(new DOMException('', 'NotFoundError')); \
          notice(''); $('open').click(); view.pictures = 0",
     );
-    browser.until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
+    browser.wait_until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
     // Some browsers have no serial ports or cannot suspend WebAssembly calls.
     for missing in ["navigator.serial", "WebAssembly.Suspending"] {
         let (of, name) = missing.split_once('.').unwrap();
@@ -333,8 +333,8 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
                 "delete {of}.{name}; Object.defineProperty({of}, '{name}', {{ value: undefined, configurable: true }})"
             ),
         );
-        refused(&mut browser, "Chrome or Edge on a desktop can");
+        check_refusal(&mut browser, "Chrome or Edge on a desktop can");
         browser.evaluate(&tab, &format!("delete {of}.{name}"));
     }
-    assert_eq!(browser.complaints(), [""; 0]);
+    assert_eq!(browser.console_errors(), [""; 0]);
 }

@@ -1,8 +1,8 @@
 //! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
 //! picture by its ticks and labels, without the drawing code.
 
-use crate::common::{Folder, haptic, json, output, shipped_path, svg_number, type_lines};
-use haptic_show::plot::axes::{Axis, Mark, PlotArea};
+use crate::common::{Folder, file, haptic, json, output, type_lines};
+use haptic_show::plot::axes::{Axis, CurveName, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
 use std::f64::consts::TAU;
@@ -111,14 +111,17 @@ fn the_picture_shows_the_recorded_values() {
         .stdout(contains("stiffness found: 3000 N/m"));
     plot(&files).code(1).stderr(contains("--force"));
     let text = std::fs::read_to_string(&svg).unwrap();
-    assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
-    let panels = read_panels(&text);
+    assert!(
+        text.contains("a-device in contact with a wall, recorded 2026-01-01")
+            && text.contains("wall 0: plane, 3000 N/m")
+    );
+    let panels = read(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
         "time (s)",
-        "rendered (N)",
+        "rendered force (N)",
         "penetration (mm)",
-        "rendered (N)",
+        "rendered force (N)",
         "frequency (Hz)",
         "amplitude re 1 N (dB)",
         "distance to the wall (mm)",
@@ -171,28 +174,33 @@ fn the_picture_shows_the_recorded_values() {
 }
 
 #[test]
-fn a_legend_covers_no_curve() {
-    let axis = |high: f64| Axis { name: "x".into(), unit: "m".into(), low: 0.0, high };
-    let frame = PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: axis(600.0), y: axis(300.0) };
-    // Returns the corner of the legend's box and the height of the page.
-    let legend = |drawn: &[Vec<(f64, f64)>]| {
-        let mut canvas = Canvas::new(800.0, 400.0);
-        frame.place_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
-        let svg = canvas.finish("", "").svg().to_string();
-        let panel = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
-        (svg_number(panel, "x").unwrap(), svg_number(panel, "y").unwrap(), svg_number(&svg, "height").unwrap())
+fn names_stand_at_their_curves_and_cover_none() {
+    let frame = PlotArea {
+        at: (100.0, 50.0),
+        size: (600.0, 300.0),
+        x: Axis::new("x", "m", 0.0, 600.0),
+        y: Axis::new("y", "m", 0.0, 300.0),
     };
-    let width = 48.0 + 6.5 * 5.0;
-    let right = 690.0 - width;
-    assert_eq!(legend(&[]), (right, 60.0, 400.0));
-    // The legend avoids a line in one corner, a dot in another corner, and a line across the panel.
-    let falling = vec![(400.0, 300.0), (600.0, 270.0)];
-    assert_eq!(legend(std::slice::from_ref(&falling)), (110.0, 60.0, 400.0));
-    assert_eq!(legend(&[falling.clone(), vec![(50.0, 280.0)]]), (right, 312.0, 400.0));
-    assert_eq!(legend(&[vec![(0.0, 240.0), (600.0, 240.0)]]), (right, 60.0, 400.0));
-    // If no corner is free, the legend is below the panel.
-    let cross = [vec![(0.0, 0.0), (600.0, 300.0)], vec![(0.0, 300.0), (600.0, 0.0)]];
-    assert_eq!(legend(&cross), (100.0, 400.0, 400.0 + 28.0 + 20.0));
+    let line = |from: f64, to: f64| (0..=60).map(|i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
+    let curves: [Vec<(f64, f64)>; 2] = [line(0.0, 300.0).collect(), line(300.0, 0.0).collect()];
+    let names = [("rising", "red"), ("falling", "blue")].into_iter().zip(&curves);
+    let names: Vec<CurveName<'_>> =
+        names.map(|((name, colour), curve)| CurveName { curve: curve.clone(), colour, name: name.into() }).collect();
+    let mut canvas = Canvas::new(800.0, 400.0);
+    frame.name_curves(&mut canvas, &curves, &names);
+    let svg = canvas.finish("", "").svg().to_string();
+    for (index, name) in ["rising", "falling"].iter().enumerate() {
+        let text = svg.lines().find(|line| line.contains(&format!(">{name}<"))).unwrap();
+        let (x, y) = (attribute(text, "x").unwrap(), attribute(text, "y").unwrap());
+        let distance = |curve: &[(f64, f64)]| {
+            let at = curve.iter().map(|&(x, y)| frame.pixel(x, y));
+            let from =
+                |p: (f64, f64)| (p.0 - p.0.clamp(x, x + 6.0 * name.len() as f64)).hypot(p.1 - p.1.clamp(y - 9.0, y));
+            at.map(from).fold(f64::INFINITY, f64::min)
+        };
+        let (own, other) = (distance(&curves[index]), distance(&curves[1 - index]));
+        assert!((3.0..30.0).contains(&own) && other > own, "{name} at {x}, {y}: {own}, {other}");
+    }
 }
 
 /// A velocity that jumps between rows at 20 kHz is drawn as a line of means, not as an area; --json has all rows.

@@ -100,6 +100,25 @@ fn both_formats_contain_every_step_and_a_description() {
 }
 
 #[test]
+fn a_plain_recording_is_one_line_of_names_and_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plain.csv");
+    let words = ["record", path.to_str().unwrap(), "--plain", "--seconds", "0.1"];
+    pressed_board().run(&[&words[..], &["--arm"]].concat()).success();
+    let text = std::fs::read_to_string(&path).unwrap();
+    let (head, rows) = text.split_once('\n').unwrap();
+    let number = |field: &str| field.parse::<f64>().unwrap_or_else(|_| panic!("{field} in\n{}", &text[..300]));
+    let rows: Vec<Vec<f64>> = rows.lines().map(|row| row.split(',').map(number).collect()).collect();
+    let names: Vec<&str> = head.split(',').collect();
+    assert_eq!((rows.len(), names[..2].to_vec()), (2_000, vec!["step", "time_s"]));
+    assert!(rows.iter().all(|row| row.len() == names.len()));
+    let state = names.iter().position(|name| *name == "state").unwrap();
+    assert_eq!(rows[1_999][state], 1.0, "armed");
+    let words = ["record", "plain.mcap", "--plain"];
+    pressed_board().run(&words).code(2).stderr(contains("--plain applies to CSV"));
+}
+
+#[test]
 #[cfg(unix)]
 fn a_killed_recording_is_readable_to_its_last_full_chunk() {
     let sim = pressed_board();

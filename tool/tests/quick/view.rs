@@ -576,14 +576,14 @@ fn every_page_may_request_the_limiting_effects() {
 fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = TestView::demo();
     view.boundary();
-    assert!(view.heard(0).picture["buzz"].is_null(), "a stable wall must not buzz");
+    assert!(view.page(0).picture["buzz"].is_null(), "a stable wall must not buzz");
     // With the hand in contact, which a page shows at 73 Hz.
     view.arm(0);
-    let place = view.beside(-0.03, 0.0);
+    let place = view.place_by_tip(-0.03, 0.0);
     view.send(0, json!({"do": "hand", "at": place}));
     view.send(0, gains(8700.0, 80.0, "off", true));
     view.play(1.5);
-    let buzz = &view.heard(0).picture["buzz"];
+    let buzz = &view.page(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
     assert!((hz - 73.5).abs() < 1.0 && growth > 0.0, "{buzz}");
 }
@@ -749,8 +749,8 @@ fn a_simulation_starts_over_and_arms_again() {
     for (pose, refusals) in [(json!([1.7, 1.1]), 0), (json!([1.7]), 1), (json!([1e9, -1e9]), 2)] {
         view.send(0, json!({"do": "start-over", "pose": pose}));
         view.play(0.2);
-        assert_eq!(view.heard(0).refused.len(), refusals, "{pose}");
-        let q = [0, 1].map(|joint| view.heard(0).picture["q"][joint].as_f64().unwrap());
+        assert_eq!(view.page(0).refused.len(), refusals, "{pose}");
+        let q = [0, 1].map(|joint| view.page(0).picture["q"][joint].as_f64().unwrap());
         assert!((q[0] - 1.7).abs() < 1e-3 && (q[1] - 1.1).abs() < 1e-3, "{q:?}");
     }
     view.arm(0);

@@ -1,11 +1,14 @@
 //! A hand that presses onto the wall and slides along it.
 
 use super::{Demo, DemoError};
+use crate::view::world::{World, hand_settings};
 use haptic_bridge::board::telemetry::Field;
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
+use haptic_host::error::Failure;
 use haptic_host::link::{Board, Row, columns, fields};
-use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use haptic_sim::{BoardOptions, Hand, Intent, Options, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
@@ -25,6 +28,13 @@ const SLIDE_END: f64 = 2.4;
 /// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
+/// Time at which [`switched`] begins: the hand rests and the wall buzzes, s after arming.
+const SWITCHED_FROM: f64 = 2.5;
+/// Durations without, with and without the feed-forward in [`switched`], s.
+pub const PHASES: [f64; 3] = [0.25, 0.35, 0.6];
+/// Depth of the hand below the wall's surface in [`switched`], m.
+const RESTING_DEPTH: f64 = 0.045;
+
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
@@ -34,9 +44,7 @@ pub struct Moment {
     pub distance: f64,
     /// The wall's force, N.
     pub force: f64,
-    /// Largest |duty| of any axis.
-    pub duty: f64,
-    /// True if the tip touches a wall.
+    /// True if a wall is touched.
     pub touching: bool,
 }
 
@@ -64,24 +72,77 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     let device = Options { start: Some(demo.pose), ..Options::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
     let mut board = Board::over(shared.wire(), "sim")?;
-    // The board watches its host, and turns the motors off if it receives nothing.
-    board.keep_alive();
     let tip = shared.lock().device().tip();
     let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
-    board.set_scene(&demo.scene(surface, feed_forward))?;
+    let scene = demo.scene(surface, feed_forward);
+    board.set_scene(&scene)?;
+    let (moments, lost, fault) = press(&mut board, &shared, &scene, path(demo, tip), &[], END_TIME, progress)?;
+    Ok(assess(moments, lost, fault))
+}
+
+/// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
+/// and the moments of these [`PHASES`].
+pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
+    let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
+        return Err(Failure::impossible("the demo is not simulated"));
+    };
+    let scene = board.scene()?.ok_or_else(|| Failure::impossible("the demo has no scene"))?;
+    let Wall { surface: Surface::Plane(plane), stiffness, damping, .. } = scene.walls[0] else {
+        return Err(Failure::impossible("the demo has no plane"));
+    };
+    let (tip, pose) = {
+        let board = shared.lock();
+        (board.device().tip(), board.device().q())
+    };
+    let normal = [plane.normal[0], plane.normal[1]].map(f64::from);
+    let (stiffness, damping) = (f64::from(stiffness), f64::from(damping));
+    let demo = Demo { file, pose, normal, stiffness, damping, ..Demo::shipped(1)? };
+    let depth = (0..2).map(|i| (tip[i] - f64::from(plane.point[i])) * normal[i]).sum::<f64>() + RESTING_DEPTH;
+    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)]
+        .map(|(time, depth)| Waypoint { time, value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0] });
+    let [off, on, again] = PHASES;
+    let modes = [
+        (0.0, FeedForward::Off),
+        (SWITCHED_FROM + off, FeedForward::Washout),
+        (SWITCHED_FROM + off + on, FeedForward::Off),
+    ];
+    let end = SWITCHED_FROM + off + on + again;
+    let (moments, ..) = press(&mut board, &shared, &scene, rest.to_vec(), &modes, end, &mut |_| {})?;
+    let first = moments.len().saturating_sub(((off + on + again) * demo.rate_hz) as usize);
+    Ok((demo, moments[first..].to_vec()))
+}
+
+/// Lets the hand follow a path until `end` (s after arming) and sets each of the `modes` of the feed-forward at its
+/// time. Returns the moments, the number of lost rows and the fault.
+fn press(
+    board: &mut Board,
+    shared: &SharedBoard,
+    scene: &Scene<f32>,
+    path: Vec<Waypoint>,
+    modes: &[(f64, FeedForward)],
+    end: f64,
+    progress: &mut dyn FnMut(f64),
+) -> Result<(Vec<Moment>, u64, Option<String>), DemoError> {
+    // The board watches its host, and turns the motors off if it receives nothing.
+    board.keep_alive();
     {
         let mut board = shared.lock();
-        let now = board.time();
-        let settings = HandSettings { tremor: 2e-4, seed: demo.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(hand_path(demo, tip)), tip, now));
+        let (now, tip) = (board.time(), board.device().tip());
+        board.device_mut().set_hand(Hand::new(hand_settings(), Intent::Follow(path), tip, now));
     }
     board.arm()?;
-    let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
+    let selected = fields("distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
-    let steps = (END_TIME * demo.rate_hz) as usize;
+    let rate_hz = f64::from(scene.rate_hz);
+    let steps = (end * rate_hz) as usize;
+    let mut modes = modes.iter().peekable();
     while rows.len() < steps {
         rows.extend(board.rows(Duration::from_millis(50))?);
+        if let Some((_, feed_forward)) = modes.next_if(|(time, _)| rows.len() as f64 >= time * rate_hz) {
+            let Wall { stiffness, damping, washout_hz, .. } = scene.walls[0];
+            board.set_wall_gains(Gains { wall: 0, stiffness, damping, feed_forward: *feed_forward, washout_hz })?;
+        }
         progress((rows.len() as f64 / steps as f64).min(1.0));
     }
     board.stop_stream()?;
@@ -91,8 +152,8 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
         board.disarm()?;
     }
     let lost = board.losses().missing;
-    let axes = demo.file.spec().joints;
-    Ok(assess(moments_of_rows(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
+    let axes = board.device()?.map_or(0, |device| device.axes());
+    Ok((moments_of_rows(&rows, &columns(selected, axes), rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.
@@ -124,7 +185,6 @@ fn moments_of_rows(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz:
             time: f64::from(row.step.wrapping_sub(first)) / rate_hz - START_TIME,
             distance: value(row, Field::Distance, 0),
             force: value(row, Field::WallForce, 0),
-            duty: (0..3).map(|axis| value(row, Field::Duty, axis).abs()).fold(0.0, f64::max),
             touching: value(row, Field::State, 1) > 0.0,
         })
         .filter(|moment| moment.time >= 0.0)
@@ -147,7 +207,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
-        ripple: detrended_rms(&resting),
+        ripple: ripple(&resting),
         bounces: contact.windows(2).filter(|pair| pair[0] && !pair[1]).count(),
         moments,
         lost,
@@ -155,8 +215,9 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     }
 }
 
-/// Computes the rms deviation from a moving mean over 21 samples, because slow force changes are not ripple.
-fn detrended_rms(force: &[f64]) -> f64 {
+/// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
+/// the force are not ripple.
+pub(super) fn ripple(force: &[f64]) -> f64 {
     const HALF_WINDOW: usize = 10;
     if force.len() <= 2 * HALF_WINDOW {
         return 0.0;

@@ -1,172 +1,201 @@
-//! The picture of the crossing: distance and force over time, without and with the feed-forward.
+//! The moving picture of the demo: a hand rests on the wall while the feed-forward is off, on and off again.
+//!
+//! The device is drawn in slow motion with its motion magnified, beside the wall's force. The motion is SMIL, which
+//! browsers play in an `<img>` without scripts. A viewer without motion, or a reader who prefers less of it, sees the
+//! device at rest and the whole curve.
 
 use super::Demo;
 use super::comparison::Comparison;
-use super::crossing::{Crossing, Moment};
+use super::crossing::{Crossing, Moment, PHASES, ripple};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, PlotArea};
-use crate::plot::canvas::{Anchor, Canvas, Stroke};
+use crate::plot::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
 use crate::plot::colour::{FAINT_GREY, INK, OFF_COLOUR, WASHOUT_COLOUR};
 use crate::plot::linkage;
-use haptic_stability::skeleton::skeleton;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 
-const PICTURE_WIDTH: f64 = 1000.0;
-const LEFT_MARGIN: f64 = 80.0;
-const RIGHT_MARGIN: f64 = 24.0;
-const TOP_MARGIN: f64 = 176.0;
-const PANEL_HEIGHT: f64 = 170.0;
-const PANEL_GAP: f64 = 74.0;
-/// Distance between the two columns, with room for the right column's scale.
-const COLUMN_GAP: f64 = 84.0;
+const PICTURE_WIDTH: f64 = 760.0;
+const HEIGHT: f64 = 440.0;
+/// Seconds of the picture per simulated second.
+const SLOWER: f64 = 12.0;
+/// Factor by which the device's motion is drawn larger than it is.
+const MAGNIFIED: f64 = 30.0;
+/// The drawn device: its left and top edge, and its size, pixels.
+const DEVICE: (Point, Point) = ((90.0, 160.0), (230.0, 190.0));
+/// Half the length of the drawn wall, and the drawn depth of its solid side, pixels.
+const WALL: (f64, f64) = (90.0, 40.0);
+/// The end of each phase from which its ripple is computed, s.
+const SETTLED: f64 = 0.1;
+const COLOURS: [&str; 3] = [OFF_COLOUR, WASHOUT_COLOUR, OFF_COLOUR];
+/// Shows either the resting or the moving drawing.
+const STYLE: &str = "<style>.moving{display:none}@media (prefers-reduced-motion:no-preference)\
+    {.still{display:none}.moving{display:inline}}</style>";
 
-/// Time interval that the last row shows enlarged, s.
-const ENLARGED_INTERVAL: std::ops::Range<f64> = 0.5..0.6;
-/// Centre of the device's drawing above the panels, pixels.
-const DEVICE_CENTRE: (f64, f64) = (862.0, 74.0);
-/// Scale of the device's drawing, pixels per metre.
-const DEVICE_SCALE: f64 = 500.0;
-
-/// Contents of one row of panels; both panels of the row have the same scale.
-struct PanelRow {
-    title: &'static str,
-    axis: &'static str,
-    unit: &'static str,
-    value: fn(&Moment) -> f64,
-    low: f64,
-    high: f64,
-}
-
-/// Background of the enlarged interval.
-const ENLARGED_BACKGROUND: &str = "#e8e8e8";
-
-/// Draws the device at its pose, with the wall and the path of the hand.
-fn draw_device(canvas: &mut Canvas, demo: &Demo) {
-    let Some(skeleton) = skeleton(&demo.file.description, demo.q()) else { return };
-    let (low, high) = linkage::bounding_box(skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]));
-    let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
-    let pixel = |x: f64, y: f64| {
-        (DEVICE_CENTRE.0 + DEVICE_SCALE * (x - middle.0), DEVICE_CENTRE.1 - DEVICE_SCALE * (y - middle.1))
-    };
-    let ([nx, ny], (x, y)) = (demo.normal, skeleton.tip);
-    // Coordinates along the wall (the slide) and into its solid side.
-    let at = |along: f64, depth: f64| pixel(x - along * ny - depth * nx, y + along * nx - depth * ny);
-    canvas.polygon(&[at(-0.09, 0.0), at(0.09, 0.0), at(0.09, 0.02), at(-0.09, 0.02)], FAINT_GREY, 0.3);
-    canvas.line(at(-0.09, 0.0), at(0.09, 0.0), Stroke::solid(FAINT_GREY, 1.6));
-    for bar in &skeleton.bars {
-        canvas.line(pixel(bar.from.0, bar.from.1), pixel(bar.to.0, bar.to.1), Stroke::solid(INK, 2.0));
-        canvas.circle(pixel(bar.from.0, bar.from.1), 2.6, "white", Stroke::solid(INK, 1.4));
-    }
-    for base in &skeleton.base {
-        linkage::draw_base_pivot(canvas, pixel(base.0, base.1));
-    }
-    linkage::draw_tip(canvas, pixel(x, y));
-    let words = at(-0.095, 0.016);
-    canvas.text((words.0, words.1), 11.5, Anchor::Start, false, "wall");
-}
-
-/// Draws the crossings without and with the feed-forward side by side.
-pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
-    let both = || without.moments.iter().chain(&with.moments);
-    let top = |value: fn(&Moment) -> f64| both().map(value).fold(0.0, f64::max);
-    let depth = both().map(|moment| moment.distance).fold(0.0, f64::min);
-    let rows = [
-        PanelRow {
-            title: "distance of the tip from the wall (shaded: inside)",
-            axis: "distance",
-            unit: "m",
-            value: |moment| moment.distance,
-            low: 1.6 * depth,
-            high: (-4.0 * depth).max(2.1e-3),
-        },
-        PanelRow {
-            title: "force of the wall",
-            axis: "force",
-            unit: "N",
-            value: |moment| moment.force,
-            low: 0.0,
-            high: 1.08 * top(|moment| moment.force),
-        },
-        PanelRow {
-            title: "the same force under the resting hand, for a tenth of a second",
-            axis: "force",
-            unit: "N",
-            value: |moment| moment.force,
-            low: 0.0,
-            high: 1.08 * top(|moment| if ENLARGED_INTERVAL.contains(&moment.time) { moment.force } else { 0.0 }),
-        },
-    ];
-    let height = TOP_MARGIN + 3.0 * PANEL_HEIGHT + 2.0 * PANEL_GAP + 62.0;
-    let mut canvas = Canvas::new(PICTURE_WIDTH, height);
-    canvas.text((LEFT_MARGIN, 34.0), 19.0, Anchor::Start, false, "A hand presses onto a wall and slides along it");
-    let conditions = format!(
-        "wall of {:.0} kN/m and {:.0} N s/m, control at {:.0} kHz, the same hand and tremor twice",
+/// Draws the `moments` of [`switched`](super::crossing::switched), with the comparison of two crossings in words.
+pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing) -> Picture {
+    let begin = moments.first().map_or(0.0, |moment| moment.time);
+    let mut until = 0.0;
+    let phases = PHASES.map(|duration| {
+        let from = until;
+        until += duration;
+        let of = moments.iter().filter(move |moment| (from..until + 1e-9).contains(&(moment.time - begin)));
+        of.collect::<Vec<_>>()
+    });
+    let ripples = phases.each_ref().map(|phase| {
+        let settled = phase.len().saturating_sub((SETTLED * demo.rate_hz) as usize);
+        ripple(&phase[settled..].iter().map(|moment| moment.force).collect::<Vec<_>>())
+    });
+    let mut canvas = Canvas::new(PICTURE_WIDTH, HEIGHT);
+    canvas.write(format_args!("{STYLE}"));
+    canvas.text((24.0, 34.0), 19.0, Anchor::Start, false, "A hand presses on a virtual wall");
+    let quieter = format!("with the feed-forward: {:.0} times quieter", ripples[0] / ripples[1]);
+    canvas.text((PICTURE_WIDTH - 24.0, 34.0), 15.0, Anchor::End, false, &quieter);
+    switch(&mut canvas);
+    draw_device(&mut canvas, demo, moments, &phases[1]);
+    force(&mut canvas, begin, &phases, ripples);
+    let [better, worse] = Comparison::of(without, with).sentences();
+    let wall = format!(
+        "The wall of `haptic view --port sim`: {:.1} kN/m and {:.0} N s/m, control at {:.0} kHz, a tenth of the usual dry friction.",
         demo.stiffness / 1000.0,
         demo.damping,
         demo.rate_hz / 1000.0
     );
-    canvas.text((LEFT_MARGIN, 58.0), 12.5, Anchor::Start, false, &conditions);
-    for (line, sentence) in Comparison::of(without, with).sentences().iter().enumerate() {
-        canvas.text((LEFT_MARGIN, 80.0 + 19.0 * line as f64), 12.5, Anchor::Start, false, sentence);
-    }
-    let end = both().map(|moment| moment.time).fold(0.1, f64::max);
-    let width = (PICTURE_WIDTH - LEFT_MARGIN - RIGHT_MARGIN - COLUMN_GAP) / 2.0;
-    let columns = [
-        (without, OFF_COLOUR, "without feed-forward".to_string()),
-        (with, WASHOUT_COLOUR, format!("with feed-forward (washout {} Hz)", demo.washout_hz)),
-    ];
-    let mut letters = 'a'..;
-    for (index, row) in rows.iter().enumerate() {
-        let top = TOP_MARGIN + index as f64 * (PANEL_HEIGHT + PANEL_GAP);
-        for (column, (crossing, colour, name)) in columns.iter().enumerate() {
-            let axis = |name: &str, unit: &str, low, high| Axis { name: name.into(), unit: unit.into(), low, high };
-            let left = LEFT_MARGIN + column as f64 * (width + COLUMN_GAP);
-            let frame = PlotArea {
-                at: (left, top),
-                size: (width, PANEL_HEIGHT),
-                x: if index + 1 == rows.len() {
-                    axis("time", "s", ENLARGED_INTERVAL.start, ENLARGED_INTERVAL.end)
-                } else {
-                    axis("time", "s", 0.0, end)
-                },
-                y: axis(row.axis, row.unit, row.low, row.high),
-            };
-            if index == 0 {
-                canvas.line((left, top - 34.0), (left + 26.0, top - 34.0), Stroke::solid(colour, 2.4));
-                canvas.text((left + 34.0, top - 29.5), 14.0, Anchor::Start, false, name);
-            }
-            if row.low < 0.0 {
-                let inside = [(0.0, row.low), (end, row.low), (end, 0.0), (0.0, 0.0)];
-                let corners = inside.map(|(x, y)| frame.pixel(x, y));
-                canvas.polygon(&corners, FAINT_GREY, 0.22);
-            }
-            if index + 2 == rows.len() {
-                let corners = [ENLARGED_INTERVAL.start, ENLARGED_INTERVAL.end].map(|time| frame.pixel(time, row.high));
-                canvas.rectangle(
-                    corners[0],
-                    (corners[1].0 - corners[0].0, PANEL_HEIGHT),
-                    ENLARGED_BACKGROUND,
-                    Stroke::solid(FAINT_GREY, 0.0),
-                );
-            }
-            frame.draw_clipped(&mut canvas, |canvas| {
-                let points: Vec<(f64, f64)> =
-                    crossing.moments.iter().map(|moment| (moment.time, (row.value)(moment))).collect();
-                frame.curve(canvas, &points, Stroke::solid(colour, 1.0));
-            });
-            let letter = letters.next().unwrap_or(' ');
-            frame.draw(&mut canvas, &format!("({letter}) {}", row.title));
-        }
-    }
-    draw_device(&mut canvas, demo);
-    let description = format!(
-        "Penetration {:.3} mm without and {:.3} mm with feed-forward; peak force {:.2} N and {:.2} N; ripple of the force \
-         {:.2} N and {:.2} N rms.",
-        1e3 * without.penetration,
-        1e3 * with.penetration,
-        without.peak_force,
-        with.peak_force,
-        without.ripple,
-        with.ripple
+    let shown = format!(
+        "A simulated board runs the firmware's control code. Shown {SLOWER} times slower; motion into the wall {MAGNIFIED} times larger."
     );
-    canvas.finish("Distance and force while a hand crosses a wall, without and with the feed-forward", &description)
+    for (line, text) in [wall, shown].iter().enumerate() {
+        canvas.text((24.0, HEIGHT - 32.0 + 16.0 * line as f64), SMALL_TEXT, Anchor::Start, false, text);
+    }
+    let description = format!(
+        "The wall's force ripples by {:.2} N rms without the feed-forward and by {:.2} N rms with it. When the hand of \
+         `haptic demo` crosses a wall: {better} {worse}",
+        ripples[0], ripples[1]
+    );
+    canvas.finish("A virtual wall buzzes without the feed-forward, and rests with it", &description)
+}
+
+/// Returns an SMIL animation that repeats with the whole picture: values at equal intervals of time.
+fn animation(element: &str, attribute: &str, mode: &str, values: &[String]) -> String {
+    let duration = SLOWER * PHASES.iter().sum::<f64>();
+    format!(
+        r#"<{element} attributeName="{attribute}" calcMode="{mode}" dur="{duration}s" repeatCount="indefinite" values="{}"/>"#,
+        values.join(";")
+    )
+}
+
+/// Returns an animation that shows an element in the phases without or with the feed-forward.
+fn shown(with: bool) -> String {
+    let total: f64 = PHASES.iter().sum();
+    let [off, on] = if with { ["hidden", "visible"] } else { ["visible", "hidden"] };
+    let times = format!("0;{:.4};{:.4}", PHASES[0] / total, (PHASES[0] + PHASES[1]) / total);
+    animation("animate", "visibility", "discrete", &[off, on, off].map(String::from))
+        .replace("/>", &format!(r#" keyTimes="{times}"/>"#))
+}
+
+/// Draws the switch of the feed-forward.
+fn switch(canvas: &mut Canvas) {
+    canvas.text((24.0, 68.0), 15.0, Anchor::Start, false, "feed-forward");
+    canvas.write(format_args!(r#"<g class="moving">"#));
+    for (with, word, colour, knob) in [(false, "off", OFF_COLOUR, 144.0), (true, "on", WASHOUT_COLOUR, 168.0)] {
+        canvas.write(format_args!("<g>{}", shown(with)));
+        canvas.line((144.0, 63.0), (168.0, 63.0), Stroke { colour, width: 24.0, dash: "" });
+        canvas.write(format_args!(r#"<g stroke-linecap="round">"#));
+        canvas.line((144.0, 63.0), (168.0, 63.0), Stroke::solid(colour, 24.0));
+        canvas.write(format_args!("</g>"));
+        canvas.circle((knob, 63.0), 9.0, "white", Stroke::solid("white", 0.0));
+        canvas.coloured_text((190.0, 68.0), 15.0, Anchor::Start, colour, word);
+        canvas.write(format_args!("</g>"));
+    }
+    canvas.write(format_args!("</g>"));
+}
+
+/// Draws the wall and the device, at rest and moving along the wall's normal. The device rests where it settles in the
+/// phase `with` the feed-forward.
+fn draw_device(canvas: &mut Canvas, demo: &Demo, moments: &[Moment], with: &[&Moment]) {
+    let Some(depth) = with.last().map(|moment| moment.distance) else { return };
+    let Ok(linearised) = Linearised::at(&demo.file.description, demo.q(), &demo.normal) else { return };
+    // Pose with the tip moved by this distance along the normal, m.
+    let pose = |far: f64| -> Option<Skeleton> {
+        let q: Vec<f64> = demo.q().iter().zip(linearised.unit_motion.iter()).map(|(q, per)| q + far * per).collect();
+        skeleton(&demo.file.description, &q)
+    };
+    let Some(rest) = pose(0.0) else { return };
+    let (low, high) = linkage::bounding_box(rest.bars.iter().flat_map(|bar| [bar.from, bar.to]));
+    let (at, size) = DEVICE;
+    let scale = (size.0 / (high.0 - low.0)).min(size.1 / (high.1 - low.1));
+    let pixel = |(x, y): Point| (at.0 + scale * (x - low.0), at.1 + scale * (high.1 - y));
+    let ([nx, ny], tip) = (demo.normal, pixel(rest.tip));
+    // Coordinates along the wall and into its solid side, from the tip at rest.
+    let wall = |along: f64, depth: f64| (tip.0 - along * ny - depth * nx, tip.1 - along * nx + depth * ny);
+    let ((half, deep), edge) = (WALL, scale * MAGNIFIED * depth);
+    canvas.polygon(&[wall(-half, edge), wall(half, edge), wall(half, deep), wall(-half, deep)], FAINT_GREY, 0.3);
+    canvas.line(wall(-half, edge), wall(half, edge), Stroke::solid(FAINT_GREY, 1.6));
+    canvas.text(wall(half - 14.0, deep - 22.0), 13.0, Anchor::Start, false, "wall");
+    let path = |skeleton: &Skeleton| -> String {
+        let line = |bar: &haptic_stability::skeleton::Bar| {
+            let (from, to) = (pixel(bar.from), pixel(bar.to));
+            format!("M{:.1} {:.1}L{:.1} {:.1}", from.0, from.1, to.0, to.1)
+        };
+        skeleton.bars.iter().map(line).collect()
+    };
+    let poses: Vec<Skeleton> = moments
+        .iter()
+        .map(|moment| pose(MAGNIFIED * (moment.distance - depth)).unwrap_or_else(|| rest.clone()))
+        .collect();
+    let links: Vec<String> = poses.iter().map(path).collect();
+    let tips: Vec<String> =
+        poses.iter().map(|pose| pixel(pose.tip)).map(|to| format!("{:.1} {:.1}", to.0 - tip.0, to.1 - tip.1)).collect();
+    let links = animation("animate", "d", "linear", &links);
+    let tips = animation("animateTransform", "transform", "linear", &tips);
+    for (class, links, tips) in [("still", "", ""), ("moving", links.as_str(), tips.as_str())] {
+        canvas.write(format_args!(
+            r#"<g class="{class}"><path d="{}" fill="none" stroke="{INK}" stroke-width="4" stroke-linecap="round">{links}</path><g>{}"#,
+            path(&rest),
+            tips.replace("/>", r#" type="translate"/>"#)
+        ));
+        // The hand pushes from the open side.
+        let hand = |along: f64, up: f64| wall(along, -up);
+        canvas.line(hand(0.0, 52.0), hand(0.0, 16.0), Stroke::solid(FAINT_GREY, 3.0));
+        canvas.polygon(&[hand(0.0, 9.0), hand(-6.0, 20.0), hand(6.0, 20.0)], FAINT_GREY, 1.0);
+        let name = hand(10.0, 46.0);
+        canvas.text(name, 13.0, Anchor::Start, false, "hand");
+        linkage::draw_tip(canvas, tip);
+        canvas.write(format_args!("</g></g>"));
+    }
+    for base in &rest.base {
+        linkage::draw_base_pivot(canvas, pixel(*base));
+    }
+}
+
+/// Draws the wall's force over time, with its ripple in each phase.
+fn force(canvas: &mut Canvas, begin: f64, phases: &[Vec<&Moment>; 3], ripples: [f64; 3]) {
+    let highest = phases.iter().flatten().map(|moment| moment.force).fold(0.0, f64::max);
+    let frame = PlotArea {
+        at: (420.0, 92.0),
+        size: (316.0, 230.0),
+        x: Axis::new("time", "s", 0.0, PHASES.iter().sum()),
+        y: Axis::new("force of the wall", "N", 0.0, 1.2 * highest),
+    };
+    let ((left, top), (width, height)) = (frame.at, frame.size);
+    let reveal = animation("animate", "width", "linear", &["0".into(), width.to_string()]);
+    canvas.write(format_args!(
+        r#"<clipPath id="past"><rect x="{left}" y="{top}" width="{width}" height="{height}">{reveal}</rect></clipPath>"#
+    ));
+    for (class, clip) in [("still", ""), ("moving", r#" clip-path="url(#past)""#)] {
+        canvas.write(format_args!(r#"<g class="{class}"{clip}>"#));
+        let mut from = 0.0;
+        for (((phase, colour), ripple), duration) in phases.iter().zip(COLOURS).zip(ripples).zip(PHASES) {
+            let points: Vec<Point> = phase.iter().map(|moment| (moment.time - begin, moment.force)).collect();
+            frame.curve(canvas, &points, Stroke::solid(colour, 1.4));
+            let word = if colour == OFF_COLOUR { "off" } else { "on" };
+            let at = frame.pixel(from + duration / 2.0, 1.2 * highest);
+            canvas.coloured_text((at.0, at.1 + 18.0), 13.0, Anchor::Middle, colour, word);
+            let ripple = format!("{ripple:.2} N rms");
+            canvas.coloured_text((at.0, at.1 + 34.0), SMALL_TEXT, Anchor::Middle, colour, &ripple);
+            from += duration;
+        }
+        canvas.write(format_args!("</g>"));
+    }
+    frame.draw(canvas, "");
 }

@@ -1,8 +1,7 @@
-//! A framed coordinate system on a canvas: round ticks, SI prefixes, curves, dots with error bars, a legend.
+//! A framed coordinate system on a canvas: round ticks, SI prefixes, curves with names, dots with error bars.
 
 use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
-use super::colour::{FAINT_GREY, INK};
-use super::paper::{EDGE_MARGIN, wrap};
+use super::colour::INK;
 
 const TICK_TEXT_SIZE: f64 = 12.0;
 
@@ -17,6 +16,8 @@ pub struct Axis {
     pub low: f64,
     /// Highest value shown.
     pub high: f64,
+    /// True for a logarithmic axis.
+    pub log: bool,
 }
 
 /// The frame of a plot: its position on the canvas, and its axes.
@@ -32,23 +33,37 @@ pub struct PlotArea {
     pub y: Axis,
 }
 
-/// The symbol of a legend entry.
-#[derive(Clone, Copy, Debug)]
-pub enum Mark<'a> {
-    /// A line.
-    Line(Stroke<'a>),
-    /// A dot with an error bar.
-    Dot(&'a str),
-    /// A circle.
-    Circle(&'a str),
-    /// A filled area.
-    Area(&'a str),
-    /// No symbol: the text continues the text of the previous entry.
-    Continued,
+/// A name to write next to a curve.
+pub struct CurveName<'a> {
+    /// Points of the curve, values.
+    pub curve: Vec<(f64, f64)>,
+    /// Colour of the curve.
+    pub colour: &'a str,
+    /// The name.
+    pub name: String,
 }
 
 impl Axis {
-    /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
+    /// Returns a linear axis.
+    pub fn new(name: impl Into<String>, unit: &str, low: f64, high: f64) -> Self {
+        Self { name: name.into(), unit: unit.into(), low, high, log: false }
+    }
+
+    /// Returns a logarithmic axis; values below its lowest are drawn there.
+    pub fn logarithmic(name: impl Into<String>, unit: &str, low: f64, high: f64) -> Self {
+        Self { log: true, ..Self::new(name, unit, low, high) }
+    }
+
+    /// Returns the position of a value along the axis, 0 to 1 within it.
+    fn share(&self, value: f64) -> f64 {
+        if self.log {
+            (value.max(self.low) / self.low).ln() / (self.high / self.low).ln()
+        } else {
+            (value - self.low) / (self.high - self.low)
+        }
+    }
+
+    /// Returns the prefixed unit and the factor from values to it: 12000 N/m is 12 kN/m.
     fn with_prefix(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
@@ -70,6 +85,14 @@ impl Axis {
     /// Returns round values inside the axis, about `count` of them and at least four, with their texts.
     fn ticks(&self, count: f64) -> Vec<(f64, String)> {
         let factor = self.with_prefix().0;
+        if self.log {
+            let text = |power: i32| match power {
+                -3..=3 => format!("{}", 10f64.powi(power)),
+                _ => format!("1e{power}"),
+            };
+            let decades = (self.low * factor).log10().ceil() as i32..=(self.high * factor).log10().floor() as i32;
+            return decades.map(|power| (10f64.powi(power) / factor, text(power))).collect();
+        }
         let (low, high) = (self.low * factor, self.high * factor);
         let span = high - low;
         if !(span.is_finite() && span > 0.0) {
@@ -96,41 +119,18 @@ impl Axis {
 impl PlotArea {
     /// Returns the pixel of a value pair.
     pub fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
-        let share = |axis: &Axis, v: f64| (v - axis.low) / (axis.high - axis.low);
-        (self.at.0 + share(&self.x, x) * self.size.0, self.at.1 + (1.0 - share(&self.y, y)) * self.size.1)
+        (self.at.0 + self.x.share(x) * self.size.0, self.at.1 + (1.0 - self.y.share(y)) * self.size.1)
     }
 
     /// Draws frame, ticks, labels and title.
     pub fn draw(&self, canvas: &mut Canvas, title: &str) {
-        self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
-    }
-
-    /// Draws the frame with a logarithmic x axis, labelled with the power of ten at each even decade.
-    pub fn draw_decades(&self, canvas: &mut Canvas) {
-        let superscript = |digit: char| match digit {
-            '-' => '⁻',
-            '1' => '¹',
-            '2' => '²',
-            '3' => '³',
-            digit => digit.to_digit(10).and_then(|d| char::from_u32(0x2070 + d)).unwrap_or(digit),
-        };
-        let even = (self.x.low.ceil() as i32..=self.x.high.floor() as i32).filter(|decade| decade % 2 == 0);
-        let power = |decade: i32| match decade {
-            0 => "1".to_string(),
-            decade => format!("10{}", decade.to_string().chars().map(superscript).collect::<String>()),
-        };
-        let ticks: Vec<(f64, String)> = even.map(|decade| (f64::from(decade), power(decade))).collect();
-        self.draw_along(canvas, "", &ticks, &format!("{} ({})", self.x.name, self.x.unit));
-    }
-
-    fn draw_along(&self, canvas: &mut Canvas, title: &str, ticks: &[(f64, String)], label: &str) {
         let (left, top) = self.at;
         let (width, height) = self.size;
         let bottom = top + height;
-        for (value, text) in ticks {
-            let (x, _) = self.pixel(*value, self.y.low);
+        for (value, text) in self.x.ticks(width / 75.0) {
+            let (x, _) = self.pixel(value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, text);
+            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, &text);
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {
@@ -140,7 +140,7 @@ impl PlotArea {
             canvas.text((left - 9.0, y + 4.2), TICK_TEXT_SIZE, Anchor::End, false, &text);
         }
         canvas.rectangle(self.at, self.size, "none", Stroke::solid(INK, 1.0));
-        canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, label);
+        canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, &self.x.label());
         let clear = left - 20.0 - 7.7 * widest as f64;
         canvas.text((clear, top + height / 2.0), 13.0, Anchor::Middle, true, &self.y.label());
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
@@ -181,81 +181,44 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// Draws a legend in a corner of the frame free of `drawn` (values), or else below the picture, which then grows.
-    pub fn place_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
-        const LEGEND_GAP: f64 = 10.0;
-        let (width, height) = Self::legend_size(entries);
-        let (left, right) = (self.at.0 + LEGEND_GAP, self.at.0 + self.size.0 - LEGEND_GAP);
-        let (top, bottom) = (self.at.1 + LEGEND_GAP, self.at.1 + self.size.1 - LEGEND_GAP);
-        let fits = width + 2.0 * LEGEND_GAP < self.size.0 && height + 2.0 * LEGEND_GAP < self.size.1;
-        let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
-        let free = corners.into_iter().find(|&(right, top)| {
-            // Half the width of a dot with its outline.
-            const DOT_MARGIN: f64 = 5.0;
-            let low = (right - width - DOT_MARGIN, top - DOT_MARGIN);
-            let high = (right + DOT_MARGIN, top + height + DOT_MARGIN);
-            let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
-            fits && !drawn.iter().map(pixels).any(|line| crosses_box(&line, low, high))
-        });
-        if let Some((right, top)) = free {
-            return Self::legend(canvas, right, top, entries);
+    /// Writes names of curves (values) in their colours, each next to its curve and clear of all `drawn` lines and dots
+    /// and of other names. A name without room is not written.
+    pub fn name_curves(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], names: &[CurveName<'_>]) {
+        /// Distance of places that are tried, height of the letters, and smallest distance from a line, pixels.
+        const STEP: f64 = 6.0;
+        const HIGH: f64 = 10.0;
+        const DOT_MARGIN: f64 = 5.0;
+        let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
+        let mut taken: Vec<Vec<(f64, f64)>> = drawn.iter().map(pixels).collect();
+        for CurveName { curve, colour, name } in names {
+            let width = 6.6 * name.chars().count() as f64;
+            let curve = pixels(curve);
+            let distance = |line: &[(f64, f64)], (x, y): (f64, f64)| {
+                let to = |at: f64| line.iter().map(move |p| (p.0 - at).hypot(p.1 - y)).fold(f64::INFINITY, f64::min);
+                to(x).min(to(x + width / 2.0)).min(to(x + width))
+            };
+            let (columns, rows) = ((self.size.0 - width - 12.0) / STEP, (self.size.1 - HIGH - 12.0) / STEP);
+            let places =
+                (0..=columns.max(-1.0) as i32).flat_map(|column| (0..=rows as i32).map(move |row| (column, row)));
+            let places = places.map(|(column, row)| {
+                (self.at.0 + 6.0 + STEP * f64::from(column), self.at.1 + 6.0 + HIGH + STEP * f64::from(row))
+            });
+            let is_free = |&(x, y): &(f64, f64)| {
+                let (low, high) = ((x - DOT_MARGIN, y - HIGH - DOT_MARGIN), (x + width + DOT_MARGIN, y + DOT_MARGIN));
+                !taken.iter().any(|line| crosses_box(line, low, high))
+            };
+            // The distance counts, and more so if another line is nearer.
+            let cost = |at: &(f64, f64)| {
+                let middle = (at.0, at.1 - HIGH / 2.0);
+                let own = distance(&curve, middle);
+                let others = taken.iter().filter(|line| **line != curve);
+                own + others.map(|line| (1.5 * own - distance(line, middle)).max(0.0)).fold(0.0, f64::max)
+            };
+            let best = places.filter(is_free).map(|at| (cost(&at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((_, at)) = best else { continue };
+            canvas.coloured_text(at, SMALL_TEXT, Anchor::Start, colour, name);
+            taken.push(vec![(at.0, at.1 - HIGH / 2.0), (at.0 + width, at.1 - HIGH / 2.0)]);
         }
-        let max_width = canvas.width() - 2.0 * EDGE_MARGIN - 48.0;
-        let folded: Vec<(Mark<'_>, String)> = entries
-            .iter()
-            .flat_map(|(mark, text)| {
-                let lines = wrap(text, max_width, SMALL_TEXT);
-                lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
-            })
-            .collect();
-        let (width, height) = Self::legend_size(&folded);
-        let right = (self.at.0 + width).min(canvas.width() - EDGE_MARGIN);
-        let top = canvas.lengthen(height + 2.0 * LEGEND_GAP);
-        Self::legend(canvas, right, top, &folded);
-    }
-
-    /// Returns width and height of a legend, pixels.
-    pub fn legend_size(entries: &[(Mark<'_>, String)]) -> (f64, f64) {
-        let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
-        (48.0 + 6.5 * longest, 10.0 + 18.0 * entries.len() as f64)
-    }
-
-    /// Draws a legend with its right edge at `right` and its first line at `top` (pixels).
-    pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
-        let (width, height) = Self::legend_size(entries);
-        let left = right - width;
-        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT_GREY, 0.6));
-        for (i, entry) in entries.iter().enumerate() {
-            Self::draw_entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
-        }
-    }
-
-    /// Draws a legend in one line that begins at `at` (pixels).
-    pub fn legend_line(canvas: &mut Canvas, at: (f64, f64), entries: &[(Mark<'_>, String)]) {
-        let mut left = at.0;
-        for entry in entries {
-            Self::draw_entry(canvas, (left, at.1), entry);
-            left += 33.0 + 6.5 * entry.1.chars().count() as f64 + 20.0;
-        }
-    }
-
-    /// Draws a legend entry: the symbol with its left end at this pixel, then the text.
-    fn draw_entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
-        match mark {
-            Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
-            Mark::Dot(colour) => {
-                canvas.line((left + 13.0, y - 7.0), (left + 13.0, y + 7.0), Stroke::solid(colour, 1.2));
-                canvas.circle((left + 13.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
-            }
-            Mark::Area(colour) => {
-                canvas.rectangle((left, y - 5.0), (26.0, 10.0), colour, Stroke::solid(colour, 0.0));
-            }
-            Mark::Circle(colour) => {
-                canvas.circle((left + 13.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
-            }
-            Mark::Continued => {}
-        }
-        canvas.text((left + 33.0, y + 4.0), 11.5, Anchor::Start, false, text);
     }
 }
 
@@ -288,7 +251,7 @@ mod tests {
     use super::*;
 
     fn axis(low: f64, high: f64, unit: &str) -> Axis {
-        Axis { name: "x".into(), unit: unit.into(), low, high }
+        Axis::new("x", unit, low, high)
     }
 
     #[test]
@@ -301,5 +264,7 @@ mod tests {
         assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");
         assert!(axis(1.0, 1.0, "m").ticks(5.0).is_empty());
+        let decades = Axis::logarithmic("x", "N/m", 50.0, 2e5).ticks(5.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
+        assert_eq!(decades, ["0.1", "1", "10", "100"]);
     }
 }

@@ -52,18 +52,24 @@ pub struct Canvas {
     height: f64,
     /// Width on paper, mm.
     printed: Option<f64>,
+    caption: Vec<String>,
     clips: usize,
 }
 
 impl Canvas {
     /// Creates an empty white page.
     pub fn new(width: f64, height: f64) -> Self {
-        Self { body: String::new(), width, height, printed: None, clips: 0 }
+        Self { body: String::new(), width, height, printed: None, caption: Vec::new(), clips: 0 }
     }
 
     /// Sets the width on paper, mm.
     pub fn set_printed_width(&mut self, mm: f64) {
         self.printed = Some(mm);
+    }
+
+    /// Adds lines to the caption.
+    pub fn caption<'t>(&mut self, lines: impl IntoIterator<Item = &'t str>) {
+        self.caption.extend(lines.into_iter().filter(|line| !line.is_empty()).map(String::from));
     }
 
     /// Returns the width, units.
@@ -93,10 +99,11 @@ impl Canvas {
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{}</svg>\n",
             size[0], size[1], self.body
         );
-        Picture { svg, printed: self.printed.is_some() }
+        Picture { svg, caption: self.caption.join("\n"), printed: self.printed.is_some() }
     }
 
-    fn push(&mut self, element: std::fmt::Arguments<'_>) {
+    /// Adds SVG as it is.
+    pub fn write(&mut self, element: std::fmt::Arguments<'_>) {
         // Writing to a String cannot fail.
         let _ = self.body.write_fmt(element);
         self.body.push('\n');
@@ -105,7 +112,7 @@ impl Canvas {
     /// Draws a straight line.
     pub fn line(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke<'_>) {
         let style = stroke.attributes();
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<line x1="{:.2}" y1="{:.2}" x2="{:.2}" y2="{:.2}" {style}/>"#,
             from.0, from.1, to.0, to.1
         ));
@@ -115,13 +122,13 @@ impl Canvas {
     pub fn polyline(&mut self, points: &[(f64, f64)], stroke: Stroke<'_>) {
         let style = stroke.attributes();
         let points = point_list(points);
-        self.push(format_args!(r#"<polyline points="{points}" fill="none" stroke-linejoin="round" {style}/>"#));
+        self.write(format_args!(r#"<polyline points="{points}" fill="none" stroke-linejoin="round" {style}/>"#));
     }
 
     /// Draws a filled area without outline.
     pub fn polygon(&mut self, points: &[(f64, f64)], fill: &str, opacity: f64) {
         let points = point_list(points);
-        self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
+        self.write(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
     /// Draws filled areas of one colour. All outlines need the same sense of rotation, because areas that share an edge
@@ -140,7 +147,7 @@ impl Canvas {
             path.push('z');
             pen = outline[0];
         }
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<path transform="scale(.1)" d="{path}" fill="{fill}" stroke="{fill}" stroke-width="6"/>"#
         ));
     }
@@ -148,7 +155,7 @@ impl Canvas {
     /// Draws a rectangle, filled and (with a width above zero) outlined.
     pub fn rectangle(&mut self, at: (f64, f64), size: (f64, f64), fill: &str, stroke: Stroke<'_>) {
         let style = if stroke.width > 0.0 { stroke.attributes() } else { String::new() };
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<rect x="{:.2}" y="{:.2}" width="{:.2}" height="{:.2}" fill="{fill}" {style}/>"#,
             at.0, at.1, size.0, size.1
         ));
@@ -157,13 +164,13 @@ impl Canvas {
     /// Draws a circle.
     pub fn circle(&mut self, at: (f64, f64), radius: f64, fill: &str, stroke: Stroke<'_>) {
         let style = stroke.attributes();
-        self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
+        self.write(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
     /// Draws small text centred on a point, turned clockwise by `degrees`, with a white outline over lines.
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
         let text = escape(text);
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL_TEXT}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
@@ -171,9 +178,9 @@ impl Canvas {
 
     /// Draws text of `size` pixels in a colour.
     pub fn coloured_text(&mut self, at: (f64, f64), size: f64, anchor: Anchor, colour: &str, text: &str) {
-        self.push(format_args!(r#"<g fill="{colour}">"#));
+        self.write(format_args!(r#"<g fill="{colour}">"#));
         self.text(at, size, anchor, false, text);
-        self.push(format_args!("</g>"));
+        self.write(format_args!("</g>"));
     }
 
     /// Draws text of `size` pixels; `turned` rotates it by -90° for a vertical axis.
@@ -185,7 +192,7 @@ impl Canvas {
         };
         let turn = if turned { format!(r#" transform="rotate(-90 {:.2} {:.2})""#, at.0, at.1) } else { String::new() };
         let text = escape(text);
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<text x="{:.2}" y="{:.2}" font-size="{size}" text-anchor="{anchor}"{turn}>{text}</text>"#,
             at.0, at.1
         ));
@@ -195,7 +202,7 @@ impl Canvas {
     pub fn begin_clip(&mut self, at: (f64, f64), size: (f64, f64)) {
         self.clips += 1;
         let id = self.clips;
-        self.push(format_args!(
+        self.write(format_args!(
             r#"<clipPath id="clip{id}"><rect x="{:.2}" y="{:.2}" width="{:.2}" height="{:.2}"/></clipPath><g clip-path="url(#clip{id})">"#,
             at.0, at.1, size.0, size.1
         ));
@@ -203,7 +210,7 @@ impl Canvas {
 
     /// Ends the clipping that began last.
     pub fn end_clip(&mut self) {
-        self.push(format_args!("</g>"));
+        self.write(format_args!("</g>"));
     }
 }
 

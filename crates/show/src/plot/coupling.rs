@@ -1,39 +1,38 @@
-//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and the coupling of the
-//! inertia in every direction, with the axes of the tip's inertia.
+//! The paper's Fig. 1 for any device and pose: the tip's motion after a push along a normal, and the inertia and its
+//! coupling in every direction, with the axes of the tip's inertia.
 //!
 //! In the plane the coupling is drawn as a curve over directions, in space as a surface. With as many joints as task
 //! directions the coupling vanishes along the axes and is largest between the first and the last axis.
 
-use super::axes::{Axis, Mark, PlotArea};
+use super::axes::{Axis, CurveName, PlotArea};
 use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
 use super::colour::{BOUND_COLOUR, FAINT_GREY, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR, scale};
-use super::paper::{EDGE_MARGIN, Paper, wrap};
+use super::paper::{EDGE_MARGIN, Paper};
 use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::vectors::padded_to;
+use haptic_host::words::with_unit;
 use haptic_stability::analysis::map::{MapPoint, effective_inertias, map_point_at};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 use nalgebra::{DVector, Vector3};
 
-/// Side of each drawing on a screen, pixels.
-const DRAWING_SIDE: f64 = 380.0;
-/// Page width on a screen, with two drawings side by side, pixels.
-const SCREEN_WIDTH: f64 = 2.0 * DRAWING_SIDE + 190.0;
-/// Height of the axis labels and the legend below a drawing, pixels.
-const LEGEND_HEIGHT: f64 = 165.0;
-/// Distance by which the drawn motion moves the tip, as a share of the side of the drawing.
-const MOTION_SHARE: f64 = 0.1;
-/// Number of directions in which a surface is sampled: around a half turn, and around a full turn.
+/// Width of both drawings with the room around them on a screen, pixels.
+const SCREEN_WIDTH: f64 = 790.0;
+/// Distance by which the push moves the tip without the feed-forward, as a share of the drawing.
+const MOTION_SHARE: f64 = 0.3;
+/// Number of dots on a path, and time between two dots, ms.
+const DOTS: usize = 6;
+const DOT_MS: usize = 5;
+/// Number of directions in which a surface is sampled, around a half turn and around a full turn.
 const SURFACE_DIRECTIONS: (usize, usize) = (24, 48);
-/// Angles of the view of a surface, rad: the turn about its vertical, then the tilt.
+/// Viewing direction of a surface: turned about its vertical and then tilted, rad.
 const VIEW_ANGLES: (f64, f64) = (-0.6, 0.45);
 
-const MOVED_LINKAGE_STROKE: Stroke<'static> = Stroke { colour: FAINT_GREY, width: 1.2, dash: "4 3" };
-
-/// Draws a device at `q` (rad) and its motion along `normal`; `None` if it cannot close or the pose is singular.
+/// Draws a device at `q` (rad) with its motion along `normal`; `None` if its linkage does not close or the pose is
+/// singular.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -48,22 +47,18 @@ pub fn draw(
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let Some(point) = map_point_at(description, q, &n, admissible)? else { return Ok(None) };
     let device = Linearised::holding(description, q, normal, admissible)?;
-    let title = format!("{name}: motion along n, and coupling over all directions");
+    let title = format!("{name}: a push along n, and the inertia in every direction");
     let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     let pose_line = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
-    let mut page = paper.page(SCREEN_WIDTH, 75.0);
-    page.begin = page.begin.min(30.0);
+    let page = paper.page(SCREEN_WIDTH, EDGE_MARGIN);
     let heading = page.heading(&title, &[pose_line]);
-    // The drawings are side by side, or on a narrow page one below the other.
-    let side = match (page.is_narrow(), paper.is_printed()) {
-        (true, _) => page.wide - page.left - 24.0,
-        (_, true) => (page.wide - (SCREEN_WIDTH - 2.0 * DRAWING_SIDE)) / 2.0,
-        _ => DRAWING_SIDE,
-    };
-    let top = 70.0 + heading.extra_height(1);
-    let under = side + LEGEND_HEIGHT;
-    let second = if page.is_narrow() { (page.left, top + under) } else { (page.left + side + 65.0, top) };
+    let side = (page.wide - 3.0 * EDGE_MARGIN) / 2.0;
+    let top = 66.0 + heading.extra_height(1);
+    let [first, second] = [EDGE_MARGIN, 2.0 * EDGE_MARGIN + side].map(|left| Square { at: (left, top), side });
     let lines = [
+        format!(
+            "Left: the tip after a push along n, a dot every {DOT_MS} ms. Right: inertia that a wall meets, by its normal."
+        ),
         format!(
             "Along n a wall meets Weff = {:.4} kg without the feed-forward and Wrr = {:.4} kg with it: {:.3} times as much.",
             point.w_eff,
@@ -71,7 +66,7 @@ pub fn draw(
             point.w_rr / point.w_eff
         ),
         match spec.task {
-            1 => String::new(),
+            1 => "One task direction: there is no coupling.".into(),
             _ => format!(
                 "Maximum at n = ({}): {:.3} times. Axes of the tip's inertia: {} kg.",
                 list(&point.worst_ratio.normal),
@@ -80,24 +75,18 @@ pub fn draw(
             ),
         },
     ];
-    let lines = page.notes(lines.iter().map(String::as_str));
-    let bottom = second.1 + under;
-    let mut canvas = page.canvas(bottom + 4.0 + 18.0 * lines.len() as f64);
+    let notes = page.notes(lines.iter().map(String::as_str));
+    let bottom = top + side + if paper.is_printed() { 6.0 } else { 26.0 };
+    let mut canvas = page.canvas(bottom + notes.height());
     heading.draw(&mut canvas);
-    draw_motion(&mut canvas, description, q, &here, &device, Square { at: (page.left, top), side });
-    let place = Square { at: second, side };
+    motion(&mut canvas, description, q, &here, &device, first);
     match spec.task {
-        1 => {
-            let at = (second.0, second.1 + 40.0);
-            canvas.text(at, 12.0, Anchor::Start, false, "One task direction: there is no coupling.");
-        }
-        2 => draw_curve(&mut canvas, place, &pose, &point, &n),
-        _ => draw_surface(&mut canvas, place, &pose, &point, &n),
+        1 => {}
+        2 => curve(&mut canvas, second, &pose, &point, &n),
+        _ => draw_surface(&mut canvas, second, &pose, &point, &n),
     }
-    for (i, line) in lines.iter().enumerate() {
-        canvas.text((page.begin, bottom + 18.0 * i as f64), SMALL_TEXT, Anchor::Start, false, line);
-    }
-    Ok(Some(canvas.finish(&title, "The linkage moved along the normal, and the coupling Wrr - Weff by direction.")))
+    notes.draw(&mut canvas, bottom);
+    Ok(Some(canvas.finish(&title, "The tip's motion after a push, and the coupling Wrr - Weff by direction.")))
 }
 
 /// The square of a drawing: its upper left corner, and its side, pixels.
@@ -105,6 +94,14 @@ pub fn draw(
 struct Square {
     at: Point,
     side: f64,
+}
+
+impl Square {
+    /// Returns a frame for values at most `half` from `middle`, in this unit.
+    fn around(self, middle: Point, half: f64, unit: &str) -> PlotArea {
+        let axis = |middle: f64| Axis::new("", unit, middle - half, middle + half);
+        PlotArea { at: self.at, size: (self.side, self.side), x: axis(middle.0), y: axis(middle.1) }
+    }
 }
 
 /// Returns the tip's displacement for a small joint motion, per unit of motion.
@@ -115,56 +112,44 @@ fn tip_displacement(description: &Description, q: &[f64], here: &Skeleton, motio
     Some(((there.tip.0 - here.tip.0) / size, (there.tip.1 - here.tip.1) / size))
 }
 
-/// Draws the device, and its motions under a push along n with and without the feed-forward.
-fn draw_motion(
+/// Draws the device, and the tip's paths after a push along n: without the feed-forward and with it.
+fn motion(
     canvas: &mut Canvas,
     description: &Description,
     q: &[f64],
     here: &Skeleton,
     device: &Linearised,
-    Square { at, side }: Square,
+    place: Square,
 ) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
-    let (low, high) = super::linkage::bounding_box(points);
+    let (low, high) = linkage::bounding_box(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
-    let axis =
-        |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
-    let frame = PlotArea { at, size: (side, side), x: axis("x", middle.0), y: axis("y", middle.1) };
-    // Joint motions per metre of the tip along n: constrained to n (`held`), and as torques Jᵀn alone cause (`free`).
+    let frame = place.around(middle, half, "m");
+    linkage::draw_linkage(canvas, &frame, here);
+    // Joint motion per metre of the tip along n: constrained, and free, which is the motion that Jᵀ causes.
     let held = device.unit_motion.clone();
-    let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
-    let free = free.and_then(|push| Some(push * device.w_eff()?)).unwrap_or_else(|| held.clone());
-    let far = 2.0 * half * MOTION_SHARE;
-    frame.draw_clipped(canvas, |canvas| {
-        for share in [-1.0, 1.0] {
-            let moved: Vec<f64> = q.iter().zip(held.iter()).map(|(q, m)| q + share * far * m).collect();
-            let Some(ghost) = skeleton(description, &moved) else { continue };
-            for bar in &ghost.bars {
-                let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
-                canvas.polyline(&ends, MOVED_LINKAGE_STROKE);
-            }
+    let (w_rr, w_eff) = (device.w_rr(), device.w_eff().unwrap_or_else(|| device.w_rr()));
+    let free =
+        device.mass.clone().cholesky().map(|mass| w_eff * mass.solve(&device.row)).unwrap_or_else(|| held.clone());
+    let mut names = Vec::new();
+    for (motion, inertia, colour, name) in [(&free, w_eff, OFF_COLOUR, "without"), (&held, w_rr, FULL_COLOUR, "with feed-forward")] {
+        let Some(along) = tip_displacement(description, q, here, motion) else { continue };
+        // The distance grows with the square of time, and with the reciprocal of the inertia.
+        let at = |dot: usize| {
+            let far = 2.0 * half * MOTION_SHARE * (w_eff / inertia) * (dot as f64 / DOTS as f64).powi(2);
+            (here.tip.0 + far * along.0, here.tip.1 + far * along.1)
+        };
+        let path: Vec<Point> = (0..=DOTS).map(at).collect();
+        frame.curve(canvas, &path, Stroke::solid(colour, 1.2));
+        for dot in &path[1..] {
+            canvas.circle(frame.pixel(dot.0, dot.1), 2.0, colour, Stroke::solid(colour, 0.0));
         }
-        linkage::draw_linkage(canvas, &frame, here);
-        for (motion, colour) in [(&free, OFF_COLOUR), (&held, FULL_COLOUR)] {
-            let Some(along) = tip_displacement(description, q, here, motion) else { continue };
-            let end = (here.tip.0 + 2.0 * far * along.0, here.tip.1 + 2.0 * far * along.1);
-            draw_arrow(canvas, frame.pixel(here.tip.0, here.tip.1), frame.pixel(end.0, end.1), colour);
-        }
-    });
-    frame.draw(canvas, "");
-    let entries = [
-        (Mark::Line(Stroke::solid(FULL_COLOUR, 2.0)), "along n, with the feed-forward".to_string()),
-        (Mark::Line(Stroke::solid(OFF_COLOUR, 2.0)), "push along n, without the feed-forward".to_string()),
-        (Mark::Line(MOVED_LINKAGE_STROKE), "the linkage moved along n, with feed-forward".to_string()),
-    ];
-    draw_legend(canvas, Square { at, side }, &entries);
-}
-
-/// Draws a legend below a drawing, right-aligned with it, or at the page's left edge if it is too wide.
-fn draw_legend(canvas: &mut Canvas, Square { at, side }: Square, entries: &[(Mark<'_>, String)]) {
-    let width = PlotArea::legend_size(entries).0;
-    PlotArea::legend(canvas, (at.0 + side).max(EDGE_MARGIN + width), at.1 + side + 52.0, entries);
+        names.push(CurveName { curve: path, colour, name: name.into() });
+    }
+    let bars = here.bars.iter().map(|bar| vec![bar.from, bar.to]);
+    let drawn: Vec<Vec<Point>> = bars.chain(names.iter().map(|name| name.curve.clone())).collect();
+    frame.name_curves(canvas, &drawn, &names);
 }
 
 fn draw_arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
@@ -177,42 +162,48 @@ fn draw_arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
 }
 
 /// Draws Weff, Wrr and their difference around a full turn.
-fn draw_curve(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+fn curve(canvas: &mut Canvas, place: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
-    let samples: Vec<(f64, f64, f64)> = (0..=180)
-        .filter_map(|i| {
-            let angle = std::f64::consts::TAU * f64::from(i) / 180.0;
-            let mut direction = DVector::zeros(joints);
-            (direction[0], direction[1]) = (angle.cos(), angle.sin());
-            effective_inertias(pose, &direction).map(|(w_eff, w_rr)| (angle, w_eff, w_rr))
-        })
-        .collect();
-    let largest = samples.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
-    let axis = |name: &str| Axis { name: name.into(), unit: "kg".into(), low: -largest, high: largest };
-    let frame = PlotArea { at, size: (side, side), x: axis("along x"), y: axis("along y") };
-    let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
-        samples.iter().map(|sample| (value(sample) * sample.0.cos(), value(sample) * sample.0.sin())).collect()
+    let around = |i: i32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / 180.0).sin_cos();
+        let mut direction = DVector::zeros(joints);
+        (direction[0], direction[1]) = (cos, sin);
+        effective_inertias(pose, &direction).map(|(w_eff, w_rr)| ((cos, sin), w_eff, w_rr))
     };
-    frame.draw_clipped(canvas, |canvas| {
-        let (pixel, length) = (|v: &[f64]| frame.pixel(v[0], v[1]), 0.98 * largest);
-        draw_axes(canvas, &pixel, point, length);
-        draw_axis_names(canvas, &pixel, point, length);
-        let coupling = polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0));
-        let area: Vec<Point> = coupling.iter().map(|p| frame.pixel(p.0, p.1)).collect();
-        canvas.polygon(&area, WASHOUT_COLOUR, 0.35);
-        frame.curve(canvas, &coupling, Stroke::solid(WASHOUT_COLOUR, 1.6));
-        frame.curve(canvas, &polar(|sample| sample.1), Stroke::solid(OFF_COLOUR, 1.8));
-        frame.curve(canvas, &polar(|sample| sample.2), Stroke::solid(FULL_COLOUR, 1.8));
-        draw_arrow(canvas, frame.pixel(0.0, 0.0), frame.pixel(largest * n[0], largest * n[1]), BOUND_COLOUR);
-    });
-    frame.draw(canvas, "");
-    let entries = [
-        (Mark::Line(Stroke::solid(OFF_COLOUR, 1.8)), "Weff".to_string()),
-        (Mark::Line(Stroke::solid(FULL_COLOUR, 1.8)), "Wrr".to_string()),
-        (Mark::Area(WASHOUT_COLOUR), "coupling Wrr - Weff".to_string()),
-        (Mark::Line(Stroke::solid(BOUND_COLOUR, 2.0)), "n".to_string()),
+    let samples: Vec<(Point, f64, f64)> = (0..=180).filter_map(around).collect();
+    let largest = samples.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max);
+    let frame = place.around((0.0, 0.0), 1.25 * largest, "kg");
+    let polar = |value: fn(&(Point, f64, f64)) -> f64| -> Vec<Point> {
+        samples.iter().map(|sample| (value(sample) * sample.0.0, value(sample) * sample.0.1)).collect()
+    };
+    let ring = round_mass(largest / 2.0);
+    let curves = [
+        (polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0)), WASHOUT_COLOUR, "coupling".to_string()),
+        (polar(|sample| sample.1), OFF_COLOUR, "Weff".into()),
+        (polar(|sample| sample.2), FULL_COLOUR, "Wrr".into()),
+        (samples.iter().map(|(at, ..)| (ring * at.0, ring * at.1)).collect(), FAINT_GREY, with_unit(ring, "kg")),
     ];
-    draw_legend(canvas, Square { at, side }, &entries);
+    let pixel = |v: &[f64]| frame.pixel(v[0], v[1]);
+    draw_axes(canvas, &pixel, point, 1.08 * largest);
+    draw_axis_names(canvas, &pixel, point, 1.16 * largest);
+    for (points, colour, _) in &curves {
+        let draw_linkage: Vec<Point> = points.iter().map(|p| frame.pixel(p.0, p.1)).collect();
+        canvas.polygon(&draw_linkage, colour, if *colour == FAINT_GREY { 0.0 } else { 0.18 });
+        frame.curve(canvas, points, Stroke::solid(colour, if *colour == FAINT_GREY { 0.7 } else { 1.6 }));
+    }
+    let tip = pixel(&[largest * n[0], largest * n[1]]);
+    draw_arrow(canvas, frame.pixel(0.0, 0.0), tip, BOUND_COLOUR);
+    canvas.coloured_text((tip.0 + 5.0, tip.1 + 12.0), 12.5, Anchor::Start, BOUND_COLOUR, "n");
+    let names = curves.map(|(curve, colour, name)| CurveName { curve, colour, name });
+    let ends = [[0.0, 0.0], [largest * n[0], largest * n[1]]].map(|end| (end[0], end[1]));
+    let drawn: Vec<Vec<Point>> = names.iter().map(|name| name.curve.clone()).chain([ends.to_vec()]).collect();
+    frame.name_curves(canvas, &drawn, &names);
+}
+
+/// Returns the largest of 1, 2, 5 times a power of ten that is at most `most`.
+fn round_mass(most: f64) -> f64 {
+    let power = 10f64.powf(most.log10().floor());
+    [5.0, 2.0, 1.0].map(|step| step * power).into_iter().find(|mass| *mass <= most * (1.0 + 1e-9)).unwrap_or(most)
 }
 
 /// Draws the axes of the tip's inertia, as lines through the middle.
@@ -226,7 +217,7 @@ fn draw_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPo
 fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
     for (k, axis) in point.eigenvectors.iter().enumerate() {
         let end = pixel(&axis.iter().map(|v| length * v).collect::<Vec<_>>());
-        canvas.coloured_text((end.0 + 3.0, end.1 - 3.0), 12.5, Anchor::Start, INK, &format!("e{}", k + 1));
+        canvas.coloured_text((end.0, end.1 + 4.0), 12.5, Anchor::Middle, INK, &format!("e{}", k + 1));
     }
 }
 
@@ -277,9 +268,11 @@ fn draw_surface(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPos
     draw_axis_names(canvas, &end, point, 1.12 * largest);
     let n = Vector3::new(n[0], n[1], n[2]);
     draw_arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * largest))), BOUND_COLOUR);
-    let label = format!("coupling Wrr - Weff, up to {largest:.4} kg; n in purple");
-    for (line, text) in wrap(&label, side, SMALL_TEXT).iter().enumerate() {
-        let at = (middle.0, at.1 + side + 20.0 + 16.0 * line as f64);
-        canvas.text(at, SMALL_TEXT, Anchor::Middle, false, text);
-    }
+    canvas.text(
+        (middle.0, at.1 + side),
+        SMALL_TEXT,
+        Anchor::Middle,
+        false,
+        &format!("coupling, up to {}", with_unit(largest, "kg")),
+    );
 }

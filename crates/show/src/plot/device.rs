@@ -6,7 +6,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea, crosses_box};
-use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT_GREY, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
 use super::linkage::bounding_box;
 use super::paper::Paper;
@@ -51,31 +51,32 @@ pub fn draw(
     let (across, up) = (high.0 - low.0, high.1 - low.1);
     let usual = side / across.max(up);
     let page = paper.page((86.0 + across * usual + 30.0).max(640.0), 86.0);
-    let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
     let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
     let what =
         if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
     let ground = if reach.is_empty() { "" } else { "; pale area: reach of the tip, clear of singular poses" };
     let heading = page.heading(&title, &[format!("{what}{ground}")]);
+    let top = 62.0 + heading.extra_height(1);
+    let pixels = page.scale(usual, (across, up), (page.left + 30.0, top + 46.0));
     let frame = PlotArea {
-        at: (page.left, 62.0 + heading.extra_height(1)),
+        at: (page.left, top),
         size: (across * pixels, up * pixels),
-        x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
-        y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
+        x: Axis::new("x", "m", low.0, high.0),
+        y: Axis::new("y", "m", low.1, high.1),
     };
     let mut notes: Vec<String> = mechanism_notes(description).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     let names: Vec<String> = match page.is_narrow() {
-        // Short links have no room for their lengths.
-        true => skeleton.bars.iter().map(|bar| bar.name.to_string()).collect(),
+        // Short links have no room for their names.
+        true => Vec::new(),
         false => skeleton.bars.iter().map(in_full).collect(),
     };
     if page.is_narrow() {
         notes.insert(0, skeleton.bars.iter().map(in_full).collect::<Vec<_>>().join("; "));
     }
-    let bottom = frame.at.1 + frame.size.1 + 68.0;
+    let bottom = frame.at.1 + frame.size.1 + if paper.is_printed() { 46.0 } else { 68.0 };
     let notes = page.notes(notes.iter().map(String::as_str));
-    let mut canvas = page.canvas(bottom + 17.0 * notes.len() as f64);
+    let mut canvas = page.canvas(bottom + notes.height());
     heading.draw(&mut canvas);
     frame.draw_clipped(&mut canvas, |canvas| {
         let tiles: Vec<Vec<Point>> =
@@ -99,9 +100,7 @@ pub fn draw(
         canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
     });
     frame.draw(&mut canvas, "");
-    for (i, line) in notes.iter().enumerate() {
-        canvas.text((page.begin, bottom + 17.0 * i as f64), SMALL_TEXT, Anchor::Start, false, line);
-    }
+    notes.draw(&mut canvas, bottom);
     Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
 }
 

@@ -9,11 +9,12 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea};
-use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{ABOVE_SCALE, FAINT_GREY, INK, scale};
-use super::paper::{Page, Paper};
+use super::paper::{Page, Paper, UNIT_MM};
 use super::{Picture, linkage, paddle};
 use haptic_host::vectors::unit;
+use haptic_host::words::with_unit;
 use haptic_stability::analysis::cut::{Cut, Fineness, Tile};
 use haptic_stability::analysis::map::MapPoint;
 use haptic_stability::analysis::pose::PoseError;
@@ -25,18 +26,13 @@ const COVERED_SHARE: f64 = 0.95;
 const COLOUR_COUNT: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const PLANE_SIDE: f64 = 500.0;
-/// Margin left of the plane, pixels.
+/// Room to the left of the plane, and to the right of it for the colour scale, with and without the scale's name.
 const LEFT_MARGIN: f64 = 86.0;
-/// Margin right of the plane for the colour scale and its name, pixels.
 const RIGHT_MARGIN: f64 = 130.0;
-/// Margin right of the plane for the colour scale without its name, pixels.
 const NARROW_RIGHT_MARGIN: f64 = 92.0;
-/// Distance of the normal's arrow from the right edge of a narrow page, pixels.
-const ARROW_DISTANCE: f64 = 40.0;
 const COLOUR_LABEL: &str = "coupling (Wrr - Weff)/Wrr";
-/// Distance between ellipse centres, pixels.
+/// Distance of ellipse centres, pixels, and the radius of an ellipse of typical size.
 const ELLIPSE_SPACING: f64 = 56.0;
-/// Radius of an ellipse of median size, pixels.
 const ELLIPSE_RADIUS: f64 = 0.36 * ELLIPSE_SPACING;
 
 /// A drawn map, with the data to read numbers off the picture.
@@ -90,7 +86,6 @@ pub fn chart(
     let usual = PLANE_SIDE / across.max(up);
     let page = paper.page((LEFT_MARGIN + across * usual + RIGHT_MARGIN).max(620.0), LEFT_MARGIN);
     let room = if page.is_narrow() { NARROW_RIGHT_MARGIN } else { RIGHT_MARGIN };
-    let pixels = if paper.is_printed() { usual.min((page.wide - page.left - room) / across) } else { usual };
     let title = format!("{name}: coupling of a wall's normal with free motion");
     let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     let limits =
@@ -99,25 +94,24 @@ pub fn chart(
     let mut under = vec![format!("normal n = ({n})"), notes.join("; ")];
     under.extend(page.is_narrow().then(|| format!("colour: {COLOUR_LABEL}")));
     let heading = page.heading(&title, &under);
-    let mut frame = PlotArea {
-        at: (page.left, 92.0 + heading.extra_height(2)),
-        size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
-        x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
-        y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
+    let top_edge = 92.0 + heading.extra_height(2);
+    let pixels = page.scale(usual, (across, up), (page.left + room, top_edge + 46.0));
+    let plane = if Turret::of(description.kind).is_some() { " in the linkage's plane" } else { "" };
+    let frame = PlotArea {
+        at: (page.left, top_edge),
+        size: (across * pixels, up * pixels),
+        x: Axis::new(format!("x{plane}"), "m", low.0, high.0),
+        y: Axis::new(format!("y{plane}"), "m", low.1, high.1),
     };
-    if Turret::of(description.kind).is_some() {
-        frame.x.name = "x in the linkage's plane".into();
-        frame.y.name = "y in the linkage's plane".into();
-    }
     let bottom = frame.at.1 + frame.size.1;
     let axis_note = if Turret::of(description.kind).is_some() { " (such as joint 0's axis)" } else { "" };
-    let coloured = [
+    let notes = [
         format!("coloured: positions that the tip reaches from home, clear of singular poses{axis_note}"),
         "arm pose as at home; other arm poses with the same tip position are not drawn".into(),
     ];
-    let coloured = page.notes(coloured.iter().map(String::as_str));
-    let key_high = if page.is_narrow() { 36.0 } else { 0.0 };
-    let mut canvas = page.canvas(bottom + key_high + 106.0 + 16.0 * coloured.len() as f64);
+    let notes = page.notes(notes.iter().map(String::as_str));
+    let key_high = if paper.is_printed() { 46.0 } else { 106.0 };
+    let mut canvas = page.canvas(bottom + key_high + notes.height());
     heading.draw(&mut canvas);
 
     let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / COLOUR_COUNT, top });
@@ -128,14 +122,17 @@ pub fn chart(
     }
     frame.draw(&mut canvas, "");
 
-    let arrow_at = if page.is_narrow() { page.wide - ARROW_DISTANCE } else { frame.at.0 + frame.size.0 - 24.0 };
-    draw_normal(&mut canvas, arrow_at, cut.project(normal));
+    draw_normal(&mut canvas, (frame.at.0 + frame.size.0 + 44.0, bottom + 24.0), cut.project(normal));
     draw_colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
-    draw_key(&mut canvas, &page, bottom + 74.0, typical, home.is_some());
-    for (i, line) in coloured.iter().enumerate() {
-        let y = bottom + key_high + 112.0 + 16.0 * i as f64;
-        canvas.text((page.begin, y), SMALL_TEXT, Anchor::Start, false, line);
+    let mass = typical.map(|typical| round_step(typical / 2.5));
+    let size = typical.zip(mass).map(|(typical, mass)| (ELLIPSE_RADIUS * (mass / typical).sqrt(), with_unit(mass, "kg")));
+    if !paper.is_printed() {
+        draw_key(&mut canvas, &page, bottom + 74.0, size, home.is_some());
+    } else if let Some((radius, mass)) = size {
+        let wide = 2.0 * UNIT_MM * radius;
+        canvas.caption([format!("ellipses: axes ∝ √eigenvalues of Λ; a circle of {wide:.1} mm is {mass}").as_str()]);
     }
+    notes.draw(&mut canvas, bottom + 112.0);
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
     Ok(Chart { picture, frame, top })
@@ -225,14 +222,13 @@ fn draw_ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) 
     Ok(Some(typical))
 }
 
-/// Draws the wall's normal in the plane, to the right of the heading, with its middle at `x`.
-fn draw_normal(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
+/// Draws the wall's normal in the plane with its middle at `middle`.
+fn draw_normal(canvas: &mut Canvas, middle: Point, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
         return;
     }
     let (ux, uy) = (nx / length, -ny / length);
-    let middle = (x, 56.0);
     let from = (middle.0 - 16.0 * ux, middle.1 - 16.0 * uy);
     let to = (middle.0 + 16.0 * ux, middle.1 + 16.0 * uy);
     canvas.line(from, to, Stroke::solid(INK, 1.8));
@@ -240,7 +236,7 @@ fn draw_normal(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
         let back = (to.0 - 8.0 * ux + side * 4.5 * uy, to.1 - 8.0 * uy - side * 4.5 * ux);
         canvas.line(to, back, Stroke::solid(INK, 1.8));
     }
-    canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
+    canvas.text((middle.0 + 14.0 * uy.abs() + 8.0, middle.1 + 16.0 * ux.abs() + 4.0), 13.0, Anchor::Start, false, "n");
 }
 
 /// Draws the colour scale to the right of the frame, with its name next to it if `name` is true.
@@ -275,21 +271,15 @@ fn draw_colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, h
     }
 }
 
-/// Draws the key: an ellipse of a round mass, and the linkage.
-fn draw_key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: bool) {
-    let (mut x, mut y) = (page.begin, y);
-    if let Some(typical) = typical {
-        let mass = round_step(typical / 2.5);
-        let radius = ELLIPSE_RADIUS * (mass / typical).sqrt();
+/// Draws the key: a circle of this radius for a mass, and the linkage.
+fn draw_key(canvas: &mut Canvas, page: &Page, y: f64, size: Option<(f64, String)>, home: bool) {
+    let mut x = page.begin;
+    if let Some((radius, mass)) = size {
         canvas.circle((x + ELLIPSE_RADIUS, y), radius, "none", Stroke::solid(INK, 1.0));
-        let kg = if mass < 1.0 { format!("{} g", (mass * 1e6).round() / 1e3) } else { format!("{mass} kg") };
         x += 2.0 * ELLIPSE_RADIUS + 8.0;
-        canvas.text((x, y - 2.0), 11.5, Anchor::Start, false, &format!("circle: {kg} in every direction"));
+        canvas.text((x, y - 2.0), 11.5, Anchor::Start, false, &format!("circle: {mass} in every direction"));
         canvas.text((x, y + 13.0), 11.5, Anchor::Start, false, "(ellipse axes ∝ √eigenvalues of Λ)");
         x += 240.0;
-    }
-    if page.is_narrow() {
-        (x, y) = (page.begin + 5.0, y + 36.0);
     }
     if home {
         canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT_GREY, 1.8));

@@ -43,13 +43,14 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
     let (across, up) = (max.0 - min.0, max.1 - min.1);
     let usual = 380.0 / across.max(up);
     let page = paper.page((86.0 + across * usual + 30.0).max(560.0), 86.0);
-    let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
     let heading = page.heading(&title, &under);
+    let top = 104.0 + heading.extra_height(3);
+    let pixels = page.scale(usual, (across, up), (page.left + 30.0, top + 60.0));
     let frame = PlotArea {
-        at: (page.left, 104.0 + heading.extra_height(3)),
+        at: (page.left, top),
         size: (across * pixels, up * pixels),
-        x: Axis { name: "x".into(), unit: "m".into(), low: min.0, high: max.0 },
-        y: Axis { name: "y".into(), unit: "m".into(), low: min.1, high: max.1 },
+        x: Axis::new("x", "m", min.0, max.0),
+        y: Axis::new("y", "m", min.1, max.1),
     };
     let mut canvas = page.canvas(frame.at.1 + frame.size.1 + 60.0);
     heading.draw(&mut canvas);

@@ -5,17 +5,15 @@
 
 use super::canvas::{Anchor, Canvas, SMALL_TEXT};
 
-/// Millimetres of paper per drawing unit that give the smallest text 8 pt.
-const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL_TEXT;
-/// Page width below which text begins at the edge and axis numbers get less room, units.
+/// Millimetres of paper per unit that give the smallest text 8 pt.
+pub const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL_TEXT;
+/// On a page narrower than this, text begins at the edge and numbers along an axis get less room.
 const NARROW_WIDTH: f64 = 500.0;
-/// Left edge of frames on a narrow page, units.
 const NARROW_LEFT_EDGE: f64 = 78.0;
-/// Margin at the edge of a page, units.
+/// Margin at the edge of a page.
 pub const EDGE_MARGIN: f64 = 10.0;
-/// Letter size and line height of a title, units.
+/// Letter size and line height of a title, and of the lines under the title.
 const TITLE_SIZES: (f64, f64) = (15.0, 19.0);
-/// Letter size and line height of a subtitle, units.
 const SUBTITLE_SIZES: (f64, f64) = (12.0, 18.0);
 
 /// Requested width of a picture, mm of paper; `None` for a screen.
@@ -54,6 +52,20 @@ impl Page {
         self.wide < NARROW_WIDTH
     }
 
+    /// Returns the scale of a drawing that is `size` wide and high: on a screen `usual`, on paper at most what leaves
+    /// `room` to the left and right, and above and below.
+    pub fn scale(&self, usual: f64, size: (f64, f64), room: (f64, f64)) -> f64 {
+        match self.paper.is_printed() {
+            true => usual.min((self.wide - room.0) / size.0).min((self.most_high() - room.1) / size.1),
+            false => usual,
+        }
+    }
+
+    /// Returns the largest height on paper: 70 mm of a column of 85 mm.
+    pub fn most_high(&self) -> f64 {
+        self.wide * 70.0 / 85.0
+    }
+
     /// Returns an empty canvas of the page's width.
     pub fn canvas(&self, height: f64) -> Canvas {
         let mut canvas = Canvas::new(self.wide, height);
@@ -63,20 +75,33 @@ impl Page {
         canvas
     }
 
-    /// Wraps a title and the lines under it.
+    /// Wraps a title and the lines under it. On paper they belong to the caption.
     pub fn heading(&self, title: &str, under: &[String]) -> Heading {
         let room = self.wide - self.begin - EDGE_MARGIN;
+        let under = under.iter().map(String::as_str);
+        if self.paper.is_printed() {
+            let caption = std::iter::once(title).chain(under).map(String::from).collect();
+            return Heading { begin: self.begin, titles: Vec::new(), under: Vec::new(), caption };
+        }
         Heading {
             begin: self.begin,
             titles: wrap(title, room, TITLE_SIZES.0),
-            under: under.iter().flat_map(|line| wrap(line, room, SUBTITLE_SIZES.0)).collect(),
+            under: under.flat_map(|line| wrap(line, room, SUBTITLE_SIZES.0)).collect(),
+            caption: Vec::new(),
         }
     }
 
-    /// Wraps notes in small text below a frame.
-    pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    /// Wraps notes in small text below a frame. On paper they belong to the caption.
+    pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Notes {
         let room = self.wide - self.begin - EDGE_MARGIN;
-        notes.into_iter().flat_map(|note| wrap(note, room, SMALL_TEXT)).collect()
+        let all = notes.into_iter().map(String::from).collect();
+        match self.paper.is_printed() {
+            true => Notes { begin: self.begin, lines: Vec::new(), caption: all },
+            false => {
+                let lines = all.iter().flat_map(|note| wrap(note, room, SMALL_TEXT)).collect();
+                Notes { begin: self.begin, lines, caption: Vec::new() }
+            }
+        }
     }
 }
 
@@ -85,13 +110,19 @@ pub struct Heading {
     begin: f64,
     titles: Vec<String>,
     under: Vec<String>,
+    caption: Vec<String>,
 }
 
 impl Heading {
-    /// Returns the additional height compared with a title of one line and `usual` lines under it.
+    /// Returns the additional height compared with a title of one line and `usual` lines under it; negative without
+    /// them.
     pub fn extra_height(&self, usual: usize) -> f64 {
-        let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
-        TITLE_SIZES.1 * more(&self.titles, 1) + SUBTITLE_SIZES.1 * more(&self.under, usual)
+        let lines = if self.titles.is_empty() {
+            (0.0, 0.0)
+        } else {
+            (self.titles.len() as f64, self.under.len().max(usual) as f64)
+        };
+        TITLE_SIZES.1 * (lines.0 - 1.0) + SUBTITLE_SIZES.1 * (lines.1 - usual as f64)
     }
 
     /// Draws the heading at the top of a page.
@@ -105,6 +136,32 @@ impl Heading {
             canvas.text((self.begin, y + 1.0), SUBTITLE_SIZES.0, Anchor::Start, false, line);
             y += SUBTITLE_SIZES.1;
         }
+        canvas.caption(self.caption.iter().map(String::as_str));
+    }
+}
+
+/// Notes below a frame.
+pub struct Notes {
+    begin: f64,
+    lines: Vec<String>,
+    caption: Vec<String>,
+}
+
+impl Notes {
+    /// Distance of two lines, pixels.
+    const LINE: f64 = 17.0;
+
+    /// Returns the height of the notes.
+    pub fn height(&self) -> f64 {
+        Self::LINE * self.lines.len() as f64
+    }
+
+    /// Draws the notes with the first line at `y`.
+    pub fn draw(&self, canvas: &mut Canvas, y: f64) {
+        for (line, text) in self.lines.iter().enumerate() {
+            canvas.text((self.begin, y + Self::LINE * line as f64), SMALL_TEXT, Anchor::Start, false, text);
+        }
+        canvas.caption(self.caption.iter().map(String::as_str));
     }
 }
 

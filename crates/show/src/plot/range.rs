@@ -1,16 +1,16 @@
 //! The picture of stable stiffness over damping, with passivity bounds and measured dots where available.
 
 use super::Picture;
-use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, SMALL_TEXT, Stroke};
-use super::colour::{BOUND_COLOUR, FAINT_GREY, FULL_COLOUR, HOST_COLOUR, OFF_COLOUR, WASHOUT_COLOUR};
+use super::axes::{Axis, CurveName, PlotArea};
+use super::canvas::Stroke;
+use super::colour::{BOUND_COLOUR, FULL_COLOUR, HOST_COLOUR, OFF_COLOUR, WASHOUT_COLOUR};
 use super::paper::Paper;
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};
 
-/// Line height of the notes below the axes, pixels.
-const LINE_HEIGHT: f64 = 17.0;
+/// Highest over lowest value of the logarithmic axes that also show a computer's walls.
+const HOST_DECADES: f64 = 1e3;
 
 /// A measured point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,27 +72,55 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
 
     let page = contents.paper.page(720.0, 86.0);
     let heading = page.heading(&contents.title, &contents.subtitle);
+    // The walls of a computer are so much softer that only a logarithmic scale shows both.
+    let axis = |name: &str, unit: &str, high: f64| match range.host {
+        Some(_) => Axis::logarithmic(name, unit, high / HOST_DECADES, high),
+        None => Axis::new(name, unit, 0.0, high),
+    };
     let frame = PlotArea {
         at: (page.left, 82.0 + heading.extra_height(2)),
-        size: (page.wide - page.left - 24.0, if page.is_narrow() { 220.0 } else { 340.0 }),
-        x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
-        y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
+        size: (page.wide - page.left - 24.0, if page.is_narrow() { 190.0 } else { 340.0 }),
+        x: axis("wall damping kd", "N s/m", above(widest)),
+        y: axis("wall stiffness kp", "N/m", above(tallest)),
     };
     let bounds = contents.passivity.map(|passivity| passivity_bounds(passivity, &frame)).unwrap_or_default();
-    let symbols = contents.passivity.map(|passivity| explain_symbols(passivity, &bounds)).unwrap_or_default();
-    let symbols = page.notes(contents.note.iter().map(String::as_str).chain(symbols.iter().map(String::as_str)));
-    let below = frame.at.1 + frame.size.1 + 64.0;
-    let mut canvas = page.canvas(below + LINE_HEIGHT * symbols.len() as f64);
+    let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
+    let inertia = format!(
+        "the wall meets Weff = {} without the feed-forward, Wrr = {} with it",
+        format_mass(range.w_eff),
+        format_mass(range.w_rr)
+    );
+    let host = range.host.as_ref().map(|host| {
+        let late = 1e3 * host.delay_s;
+        format!("computer, {:.0} Hz, {late:.1} ms late: the wall as a program renders it over the board", host.rate_hz)
+    });
+    let dots = measured().next().map(|_| format!("dots: {}", contents.measured));
+    let notes =
+        [Some(inertia), host, contents.note.clone(), dots].into_iter().flatten().chain(symbols).collect::<Vec<_>>();
+    let notes = page.notes(notes.iter().map(String::as_str));
+    let below = frame.at.1 + frame.size.1 + if page.is_narrow() { 48.0 } else { 64.0 };
+    let mut canvas = page.canvas(below + notes.height());
     heading.draw(&mut canvas);
     let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
-    let (off, full) = (points(&range.off), points(&range.full));
-    let mut drawn = vec![off.clone(), full.clone()];
-    let mut entries = Vec::new();
+    let mut names = Vec::new();
+    let mut name = |curve: Vec<(f64, f64)>, colour, name: String| names.push(CurveName { curve, colour, name });
+    name(points(&range.full), FULL_COLOUR, "with feed-forward".into());
+    name(points(&range.off), OFF_COLOUR, "without".into());
+    if let Some(washout) = &range.washout {
+        let corner = contents.washout_hz.map_or(String::new(), |hz| format!(" {hz} Hz"));
+        name(points(washout), WASHOUT_COLOUR, format!("washout{corner}"));
+    }
+    if let Some(host) = &range.host {
+        name(points(&host.domain), HOST_COLOUR, format!("computer, {:.0} Hz", host.rate_hz));
+    }
+    for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
+        name(bound.line.clone(), BOUND_COLOUR, bound.name.into());
+    }
+    let mut drawn: Vec<_> = names.iter().map(|name| name.curve.clone()).collect();
     frame.draw_clipped(&mut canvas, |canvas| {
-        frame.area_under(canvas, &full, FULL_COLOUR, 0.10);
-        frame.area_under(canvas, &off, OFF_COLOUR, 0.16);
-        for (domain, colour) in
-            [(Some(&range.off), OFF_COLOUR), (Some(&range.full), FULL_COLOUR), (range.washout.as_ref(), WASHOUT_COLOUR)]
+        frame.area_under(canvas, &points(&range.full), FULL_COLOUR, 0.10);
+        frame.area_under(canvas, &points(&range.off), OFF_COLOUR, 0.16);
+        for (domain, colour) in [(Some(&range.off), OFF_COLOUR), (Some(&range.full), FULL_COLOUR), (range.washout.as_ref(), WASHOUT_COLOUR)]
         {
             for island in domain.map_or(&[][..], |d| &d.islands) {
                 let ends = [(island.kd, island.kp_low), (island.kd, island.kp_high)];
@@ -100,35 +128,10 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
                 drawn.push(ends.to_vec());
             }
         }
-        let line = |colour, dash| Stroke { colour, width: 2.0, dash };
-        frame.curve(canvas, &full, line(FULL_COLOUR, ""));
-        entries
-            .push((Mark::Line(line(FULL_COLOUR, "")), format!("feed-forward (4), Wrr = {}", format_mass(range.w_rr))));
-        if let Some(washout) = &range.washout {
-            frame.curve(canvas, &points(washout), line(WASHOUT_COLOUR, "7 3"));
-            drawn.push(points(washout));
-            let washed = match contents.washout_hz {
-                Some(hz) => format!("feed-forward, washout {hz} Hz"),
-                None => "feed-forward with washout".into(),
-            };
-            entries.push((Mark::Line(line(WASHOUT_COLOUR, "7 3")), washed));
-        }
-        frame.curve(canvas, &off, line(OFF_COLOUR, ""));
-        entries
-            .push((Mark::Line(line(OFF_COLOUR, "")), format!("no feed-forward, Weff = {}", format_mass(range.w_eff))));
-        if let Some(host) = &range.host {
-            frame.area_under(canvas, &points(&host.domain), HOST_COLOUR, 0.5);
-            frame.curve(canvas, &points(&host.domain), line(HOST_COLOUR, ""));
-            drawn.push(points(&host.domain));
-            let late = format!("{:.1}", 1e3 * host.delay_s);
-            let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
-            entries.push((Mark::Line(line(HOST_COLOUR, "")), name));
-        }
-        for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
-            let stroke = Stroke { colour: BOUND_COLOUR, width: 1.6, dash: bound.dash };
-            frame.curve(canvas, &bound.line, stroke);
-            drawn.push(bound.line.clone());
-            entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
+        for CurveName { curve, colour, .. } in &names {
+            let dash = bounds.iter().find(|bound| bound.line == *curve).map(|bound| bound.dash);
+            let dash = dash.unwrap_or(if *colour == WASHOUT_COLOUR { "7 3" } else { "" });
+            frame.curve(canvas, curve, Stroke { colour, width: if *colour == BOUND_COLOUR { 1.6 } else { 2.0 }, dash });
         }
         for (dots, colour) in [(contents.measured_full, FULL_COLOUR), (contents.measured_off, OFF_COLOUR)] {
             for dot in dots {
@@ -138,14 +141,9 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             }
         }
     });
-    if measured().next().is_some() {
-        entries.push((Mark::Dot(FAINT_GREY), contents.measured.clone()));
-    }
     frame.draw(&mut canvas, "");
-    for (line, text) in symbols.iter().enumerate() {
-        canvas.text((page.begin, below + LINE_HEIGHT * line as f64), SMALL_TEXT, Anchor::Start, false, text);
-    }
-    frame.place_legend(&mut canvas, &drawn, &entries);
+    notes.draw(&mut canvas, below);
+    frame.name_curves(&mut canvas, &drawn, &names);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
@@ -170,7 +168,7 @@ fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBou
     let small = right - frame.at.0 < MIN_VISIBLE_DISTANCE || bottom - top < MIN_VISIBLE_DISTANCE;
     let at = |i: usize| end * i as f64 / CURVE_PIECES as f64;
     let mut bounds = vec![PassivityBound {
-        name: "Colgate and Schenkel, of this loop",
+        name: "passive",
         dash: "5 3",
         line: (0..=CURVE_PIECES).map(|i| (at(i), passivity.largest_stiffness(at(i)))).collect(),
         hidden: small.then(|| format!("kp < {}, kd < {}", with_unit(max_stiffness, "N/m"), with_unit(end, "N s/m"))),
@@ -179,7 +177,7 @@ fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBou
         let (_, y) = frame.pixel(0.0, limit);
         let is_hidden = bottom - y < MIN_VISIBLE_DISTANCE || y < frame.at.1;
         bounds.push(PassivityBound {
-            name: "kp ≤ 2 fc/Δ as well, at kd = 0",
+            name: "2 fc/Δ",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
             hidden: is_hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
@@ -188,10 +186,11 @@ fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBou
     bounds
 }
 
-/// Explains the symbols of the legend with their values, and lists the bounds that are too small to see.
-fn explain_symbols(passivity: &Passivity, bounds: &[PassivityBound]) -> Vec<String> {
-    let mut lines =
-        vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];
+/// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
+fn symbols(passivity: &Passivity, bounds: &[PassivityBound]) -> Vec<String> {
+    let mut lines = vec![
+        "passive (Colgate and Schenkel), and at kd = 0 kp ≤ 2 fc/Δ: stable in any hand, without feed-forward".into(),
+    ];
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
     if drawn(0) {
         lines.push(format!(

@@ -83,6 +83,8 @@ pub struct Panel {
     pub line: Option<[(f64, f64); 2]>,
     /// Note for the reader, above the frame.
     pub note: String,
+    /// Intervals of x in which a wall is touched, for signals over time.
+    pub contact: Vec<(f64, f64)>,
 }
 
 /// Results of a recording in numbers, and its panels.
@@ -196,7 +198,15 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns a predicate for rows whose force a limit cut; `None` if saturation is not recorded.
+    /// Returns the times of contact, s; without the distance to a wall none is known.
+    fn contact(&self) -> Vec<(f64, f64)> {
+        let Some(distance) = self.recording.column("distance_m") else { return Vec::new() };
+        let pieces = self.rows.chunk_by(|a, b| (a[distance] < 0.0) == (b[distance] < 0.0));
+        let touched = pieces.filter(|piece| piece[0][distance] < 0.0);
+        touched.map(|piece| (piece[0][self.time], piece[piece.len() - 1][self.time])).collect()
+    }
+
+    /// Returns a test for rows whose force was cut by a limit; `None` if saturation is not recorded.
     fn limit_predicate(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -219,7 +229,8 @@ pub(crate) fn column_quantity(label: &str) -> Quantity {
     // The "n" in "rendered_n" is the unit, which is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));
     let name = label.strip_suffix(&suffix).filter(|_| !unit.is_empty()).unwrap_or(label);
-    Quantity { name: name.replace('_', " "), unit: unit.into() }
+    let name = if name == "rendered" { "rendered force".into() } else { name.replace('_', " ") };
+    Quantity { name, unit: unit.into() }
 }
 
 fn named_quantity(name: &str, unit: &str) -> Quantity {
@@ -313,6 +324,7 @@ fn time_panels(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failur
                 curves: vec![curve],
                 line: None,
                 note: String::new(),
+                contact: rows.contact(),
             }),
         }
     }
@@ -332,6 +344,7 @@ fn spectrum_panel(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) 
         curves: Vec::new(),
         line: None,
         note: String::new(),
+        contact: Vec::new(),
     };
     let unit = column_quantity(&signals[0]).unit;
     let reference = if unit.is_empty() { String::new() } else { format!(" re 1 {unit}") };
@@ -405,6 +418,7 @@ fn phase_panel(rows: &Rows<'_>) -> Result<Panel, Failure> {
         curves: vec![Curve { name: "velocity".into(), pieces: rows.pieces(|i, row| (row[distance], speed(i, row))) }],
         line: None,
         note,
+        contact: Vec::new(),
     })
 }
 

@@ -1,73 +1,70 @@
-//! The picture of speed against error: instructions of each variant of the control step, over its error.
+//! The picture of cost over error: for each mechanism the ways to compute the control step that no other way beats.
 
 use super::Picture;
-use super::axes::{Axis, Mark, PlotArea};
+use super::axes::{Axis, CurveName, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
-use super::colour::INK;
-use haptic_bridge::model::catalogue::Kind;
+use super::colour::{INK, OFF_COLOUR};
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
 
-fn colour_of(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Paddle => "#7f7f7f",
-        Kind::FiveBar => "#0072b2",
-        Kind::FiveBarTurret => "#d55e00",
-        Kind::Parallelogram => "#009e73",
-        Kind::Serial3r => "#cc79a7",
+/// Number of panels in a row, and distance and size of the frames, pixels.
+const COLUMNS: usize = 3;
+const GAP: (f64, f64) = (62.0, 84.0);
+const SIZE: (f64, f64) = (230.0, 150.0);
+const TOP: f64 = 96.0;
+/// Errors and instructions that the axes show.
+const ERRORS_N: (f64, f64) = (1e-5, 1e3);
+const INSTRUCTIONS: f64 = 800.0;
+
+/// Draws instructions over the error of the force at the tip: one panel for each mechanism, with its Pareto front as
+/// steps.
+pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
+    let fronts = every.iter().map(|(device, variants)| {
+        let mut front: Vec<(f64, f64, String)> = variants
+            .iter()
+            .filter(|variant| variant.pareto)
+            .filter_map(|variant| Some((variant.tip_force_error(), f64::from(variant.instructions?), short_name(&variant.name))))
+            .collect();
+        front.sort_by(|a, b| a.0.total_cmp(&b.0));
+        (device.mechanism.kind().spec().name, front)
+    });
+    let fronts: Vec<_> = fronts.filter(|(_, front)| !front.is_empty()).collect();
+    let rows = fronts.len().div_ceil(COLUMNS) as f64;
+    let mut canvas = Canvas::new(24.0 + COLUMNS as f64 * (SIZE.0 + GAP.0), TOP + rows * (SIZE.1 + GAP.1) - 20.0);
+    let title = "Speed against error: the ways to compute the control step that no other way beats";
+    canvas.text((GAP.0, 28.0), 15.0, Anchor::Start, false, title);
+    let about = "Instructions on the Cortex-M4F, over the largest error of the force at the tip: the torque's, and 20 kN/m times the tip's.";
+    canvas.text((GAP.0, 50.0), 12.0, Anchor::Start, false, about);
+    for (index, (mechanism, front)) in fronts.iter().enumerate() {
+        let (column, row) = ((index % COLUMNS) as f64, (index / COLUMNS) as f64);
+        let frame = PlotArea {
+            at: (GAP.0 + column * (SIZE.0 + GAP.0), TOP + row * (SIZE.1 + GAP.1)),
+            size: SIZE,
+            x: Axis::logarithmic("error", "N", ERRORS_N.0, ERRORS_N.1),
+            y: Axis::new("instructions", "", 0.0, INSTRUCTIONS),
+        };
+        // Nothing on the front is cheaper at less error: steps, not slopes.
+        let mut steps = Vec::new();
+        for (error, instructions, _) in front {
+            steps.extend(steps.last().map(|(_, before)| (*error, *before)));
+            steps.push((*error, *instructions));
+        }
+        frame.curve(&mut canvas, &steps, Stroke::solid(OFF_COLOUR, 1.2));
+        let names = front.iter().map(|(error, instructions, name)| {
+            frame.dot(&mut canvas, *error, *instructions, *instructions, *instructions, OFF_COLOUR);
+            CurveName { curve: vec![(*error, *instructions)], colour: INK, name: name.clone() }
+        });
+        let names: Vec<CurveName<'_>> = names.collect();
+        let drawn: Vec<_> = names.iter().map(|name| name.curve.clone()).chain([steps]).collect();
+        frame.draw(&mut canvas, mechanism);
+        frame.name_curves(&mut canvas, &drawn, &names);
     }
+    canvas
+        .finish(title, "Instructions of the best variants of each mechanism over their error of the force at the tip.")
 }
 
-/// Draws instructions over the error of the force at the tip, with each mechanism's Pareto front as a line.
-pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
-    let (low, high) = (-6.0, 4.0);
-    let decades = |variant: &Variant| variant.tip_force_error().max(1.0e-12).log10().clamp(low, high);
-    let mut canvas = Canvas::new(760.0, 540.0);
-    let frame = PlotArea {
-        at: (80.0, 110.0),
-        size: (660.0, 370.0),
-        x: Axis { name: "largest error of the force at the tip, without the fade".into(), unit: "N".into(), low, high },
-        y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: 2100.0 },
-    };
-    let (mut entries, mut drawn) = (Vec::new(), Vec::new());
-    frame.draw_clipped(&mut canvas, |canvas| {
-        for (device, variants) in every {
-            let colour = colour_of(device.mechanism.kind());
-            let all: Vec<&Variant> = variants.iter().filter(|variant| variant.instructions.is_some()).collect();
-            let mut front: Vec<(f64, f64)> = all
-                .iter()
-                .filter(|variant| variant.pareto)
-                .map(|variant| (decades(variant), f64::from(variant.instructions.unwrap_or(0))))
-                .collect();
-            front.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let stroke = Stroke { colour, width: 1.8, dash: "" };
-            frame.curve(canvas, &front, stroke);
-            drawn.push(front);
-            // A mechanism without a point in the frame gets no legend entry.
-            if !all.is_empty() {
-                entries.push((Mark::Line(stroke), device.mechanism.kind().spec().name.to_string()));
-            }
-            for variant in all {
-                let y = f64::from(variant.instructions.unwrap_or(0));
-                frame.dot(canvas, decades(variant), y, y, y, colour);
-                drawn.push(vec![(decades(variant), y)]);
-            }
-        }
-    });
-    entries.push((Mark::Circle(INK), "a variant".into()));
-    entries.push((Mark::Line(Stroke::solid(INK, 1.8)), "the fastest for their error".into()));
-    frame.draw_decades(&mut canvas);
-    let title = "Speed against error: every variant of the control step, fronts as lines";
-    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
-    for (line, text) in [
-        "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
-        "errors below 10⁻⁶ N are drawn at 10⁻⁶ N. The fading of velocity terms is the same in all, and left out.",
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        canvas.text((frame.at.0, 48.0 + 16.0 * line as f64), 12.0, Anchor::Start, false, text);
-    }
-    frame.place_legend(&mut canvas, &drawn, &entries);
-    canvas.finish(title, "Instructions of each variant over its largest error of the force at the tip.")
+/// Returns the terms of a variant, with its trigonometry and mass matrix if they are not the firmware's.
+fn short_name(name: &str) -> String {
+    let parts = name.split('/').skip(1).filter(|part| !["table", "exact"].contains(part));
+    parts.map(|part| if part == "none" { "no terms" } else { part }).collect::<Vec<_>>().join(", ")
 }

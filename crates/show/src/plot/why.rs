@@ -8,13 +8,16 @@ use super::paper::{EDGE_MARGIN, Paper};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{EffectShares, LimitPair};
 
-/// Maximum width of a letter, pixels.
+/// Maximum width of a letter, width of the bars on a screen, width of the values behind them, height of one effect,
+/// pixels.
 const LETTER_WIDTH: f64 = 6.8;
 const BARS_WIDTH: f64 = 420.0;
 const VALUE_WIDTH: f64 = 120.0;
 const ROW_HEIGHT: f64 = 40.0;
 const TOP_MARGIN: f64 = 92.0;
-/// Bar width below which names are placed above their bars instead of next to them, pixels.
+/// Height of the names of decades and colours below the rows, pixels.
+const FOOT: f64 = 48.0;
+/// Shorter bars are placed under their names instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
 /// Minimum distance between labels of decades, pixels.
 const DECADE_GAP: f64 = 78.0;
@@ -30,13 +33,20 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     let name_width = 24.0 + LETTER_WIDTH * longest as f64;
     let page = paper.page(name_width + BARS_WIDTH + VALUE_WIDTH, 16.0);
     let in_line = page.wide - name_width - VALUE_WIDTH > MIN_BAR_WIDTH;
-    let (left, row_high) = if in_line { (name_width, ROW_HEIGHT) } else { (EDGE_MARGIN, ROW_HEIGHT + 16.0) };
+    let left = if in_line { name_width } else { EDGE_MARGIN };
     let width = page.wide - left - VALUE_WIDTH;
     let mut under = subtitle.to_vec();
     let below = in_line && page.wide - left - 260.0 > LETTER_WIDTH * BAR_MEANING.len() as f64;
     under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
     let heading = page.heading(title, &under);
-    let top_of_rows = TOP_MARGIN + heading.extra_height(2);
+    let top_of_rows = if paper.is_printed() { EDGE_MARGIN } else { TOP_MARGIN + heading.extra_height(2) };
+    // On paper the rows share the height of a column.
+    let bar = if paper.is_printed() { 7.0 } else { 12.0 };
+    let row_high = match paper.is_printed() {
+        true => (page.most_high() - top_of_rows - FOOT).min(34.0 * rows.len() as f64) / rows.len() as f64,
+        false if in_line => ROW_HEIGHT,
+        false => ROW_HEIGHT + 16.0,
+    };
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
     let highest = values().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
     let lowest = values().filter(|kp| *kp > 0.0).fold(highest, f64::min);
@@ -44,7 +54,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     let at = |kp: f64| left + width * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
     let bottom = top_of_rows + row_high * rows.len() as f64;
 
-    let mut canvas = page.canvas(bottom + 56.0);
+    let mut canvas = page.canvas(bottom + FOOT);
     heading.draw(&mut canvas);
     let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {
@@ -62,18 +72,18 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
         if in_line {
             canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
         } else {
-            canvas.text((left, top + 14.0), 12.0, Anchor::Start, false, name);
-            top += row_high - ROW_HEIGHT;
+            canvas.text((left, top + 12.0), 12.0, Anchor::Start, false, name);
+            top += 14.0;
         }
         for (slot, (limits, colour)) in [(both.off, OFF_COLOUR), (both.full, FULL_COLOUR)].into_iter().enumerate() {
-            let y = top + 4.0 + 15.0 * slot as f64;
+            let y = top + 2.0 + (bar + 2.0) * slot as f64;
             let (end, text) = match limits {
                 Some(limits) if limits.kp_max > 0.0 => (at(limits.kp_max), with_unit(limits.kp_max, "N/m")),
                 Some(_) => (left, "nothing is stable".to_string()),
                 None => (left + width, "no limit".to_string()),
             };
-            canvas.rectangle((left, y), (end - left, 12.0), colour, Stroke::solid(colour, 0.0));
-            canvas.text((end + 6.0, y + 10.0), SMALL_TEXT, Anchor::Start, false, &text);
+            canvas.rectangle((left, y), (end - left, bar), colour, Stroke::solid(colour, 0.0));
+            canvas.text((end + 6.0, y + bar / 2.0 + 4.0), SMALL_TEXT, Anchor::Start, false, &text);
         }
     }
     for (limits, colour) in [(why.limits.off, OFF_COLOUR), (why.limits.full, FULL_COLOUR)] {

@@ -62,7 +62,12 @@ impl About {
         Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
     }
 
-    /// Returns the lines at the head of a CSV file.
+    /// Leaves the lines out: a CSV file then has no comments, and its states are numbers.
+    pub fn plain(self) -> Self {
+        Self { text: String::new(), ..self }
+    }
+
+    /// Returns the lines.
     pub fn text(&self) -> &str {
         &self.text
     }

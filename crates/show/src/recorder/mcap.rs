@@ -1,7 +1,7 @@
 //! MCAP: a recording that Foxglove, PlotJuggler and the format's own libraries open directly.
 //!
-//! Rows are protocol buffers with their description, on the channel `/rows`; events are on `/events`. A metadata record
-//! describes the recording. Rows are gathered into chunks, and only complete chunks reach the file: after a killed tool
+//! Rows are protocol buffers with their description, on the channel `/rows`; events are `foxglove.Log` on `/events`. A
+//! metadata record describes the recording. Rows are gathered into chunks, and only complete chunks reach the file: after a killed tool
 //! or on a full disk, the file is readable up to its last chunk.
 
 use super::about::About;
@@ -26,7 +26,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Message bytes in a chunk; `flush` ends a chunk earlier.
 const CHUNK_BYTES: usize = 512 * 1024;
-/// Name of the metadata record at the head.
+/// Words of Foxglove's levels by their numbers, and the level of an event: a fault that the board reported.
+const LEVELS: [&str; 6] = ["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"];
+const EVENT_LEVEL: i32 = 4;
+/// Names of the metadata records at the head and at the end.
 const HEAD_RECORD: &str = "haptic-bridge";
 /// Name of the metadata record at the end.
 const END_RECORD: &str = "haptic-bridge end";
@@ -101,8 +104,10 @@ impl McapRecorder {
             .chain(columns.iter().map(|column| (column.label.clone(), field_type(column))))
             .collect();
         let states = if fields.iter().any(|(_, kind)| *kind == Type::Enum) { &STATES[..] } else { &[] };
-        let row = describe("Row", &fields, states).map_err(Failure::impossible)?;
-        let event = describe("Event", &[("text".into(), Type::String)], &[]).map_err(Failure::impossible)?;
+        let row = describe("haptic.Row", &fields, ("State", states)).map_err(Failure::impossible)?;
+        let log = [("timestamp", Type::Message), ("level", Type::Enum), ("message", Type::String)];
+        let log = log.map(|(name, kind)| (name.to_string(), kind));
+        let event = describe("foxglove.Log", &log, ("Level", &LEVELS)).map_err(Failure::impossible)?;
         let pending = PendingBytes::default();
         let begin = || -> Result<_, McapError> {
             let mut writer = WriteOptions::new()
@@ -149,12 +154,17 @@ impl McapRecorder {
         Ok(recorder)
     }
 
-    fn write(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
+    /// Returns the time of the log (ns since 1970) at a time since the first row (s).
+    fn log_time(&mut self, time: f64) -> u64 {
         if self.start_ns == 0 {
             let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
             self.start_ns = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
         }
-        let log_time = self.start_ns + (1e9 * time.max(0.0)).round() as u64;
+        self.start_ns + (1e9 * time.max(0.0)).round() as u64
+    }
+
+    fn write(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
+        let log_time = self.log_time(time);
         self.sequence = self.sequence.wrapping_add(1);
         let header = MessageHeader {
             channel_id: self.channels[channel],
@@ -178,7 +188,8 @@ impl McapRecorder {
 
     /// Adds an event at a time since the first row, s.
     pub fn add_event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
-        let message = protobuf::encode_text(&self.event, words);
+        let now = self.log_time(time);
+        let message = protobuf::pack_log(&self.event, now, EVENT_LEVEL, words);
         self.write(1, time, &message)
     }
 

@@ -153,7 +153,7 @@ pub fn predict_buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let (mut prediction, _) = request.prediction()?;
     prediction.hand = request.hand.unwrap_or(prediction.hand);
     let members = [Member::new(request.normal.clone(), 1.0)];
-    prediction.predict_buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
+    prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
 fn limiting_effects(

@@ -48,7 +48,16 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     assert!(text.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
-    assert_eq!(picture.matches("<polyline").count(), 6, "three panels with two runs each");
+    assert_eq!(picture.matches("<polyline").count(), 6, "three phases, at rest and moving");
+    assert!(
+        picture.contains("repeatCount") && picture.contains("prefers-reduced-motion") && !picture.contains("<script")
+    );
+    // The wall buzzes, rests, and buzzes again.
+    let ripples: Vec<f64> =
+        picture.split(" N rms</text>").take(3).map(|text| text.rsplit('>').next().unwrap().parse().unwrap()).collect();
+    assert!(ripples[0] > 5.0 * ripples[1] && ripples[2] > 5.0 * ripples[1], "{ripples:?}");
+
+    type_lines(&format!("1: demo --svg {svg}"), &[]);
     let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();

@@ -62,6 +62,7 @@ pub(super) fn force_panel(rows: &Rows<'_>, force: &str, analysis: &mut Analysis)
         curves: vec![Curve { name: force.into(), pieces }],
         line: fit.ok().map(|fit| fit.ends),
         note,
+        contact: Vec::new(),
     })
 }
 

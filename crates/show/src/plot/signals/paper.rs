@@ -2,9 +2,9 @@
 
 use super::{Analysis, Panel, Quantity, View, smooth_panel};
 use crate::plot::Picture;
-use crate::plot::axes::{Axis, Mark, PlotArea};
+use crate::plot::axes::{Axis, CurveName, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
-use crate::plot::colour::{BOUND_COLOUR, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
+use crate::plot::colour::{BOUND_COLOUR, FAINT_GREY, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
 use crate::plot::paper::{EDGE_MARGIN, Paper, wrap};
 
 /// Width and height of a panel's frame, drawing units (pixels on a screen).
@@ -20,40 +20,38 @@ const CURVE_COLOURS: [&str; 4] = [FULL_COLOUR, OFF_COLOUR, WASHOUT_COLOUR, BOUND
 /// Draws the panels, one below the other.
 pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper) -> Picture {
     let page = paper.page(LEFT_MARGIN + FRAME_SIZE.0 + RIGHT_MARGIN, LEFT_MARGIN);
-    let size = (page.wide - page.left - RIGHT_MARGIN, FRAME_SIZE.1);
     let heading = page.heading(title, subtitle);
-    let mut canvas = page.canvas(HEADING_HEIGHT + heading.extra_height(1));
+    let (head, foot) = if paper.is_printed() { (-PANEL_FOOT_HEIGHT + EDGE_MARGIN, 50.0) } else { (HEADING_HEIGHT - PANEL_FOOT_HEIGHT + heading.extra_height(1), PANEL_FOOT_HEIGHT) };
+    // On paper the panels share the height of a column, if that leaves each enough.
+    let high = match paper.is_printed() {
+        true => ((page.most_high() - EDGE_MARGIN) / analysis.panels.len() as f64 - foot).max(50.0),
+        false => FRAME_SIZE.1,
+    };
+    let mut canvas = page.canvas(head + PANEL_FOOT_HEIGHT);
     heading.draw(&mut canvas);
     for panel in &analysis.panels {
-        match panel.view {
-            View::Phase if analysis.rows_per_point > 2 => {
-                draw_panel(&mut canvas, page.left, size, &smooth_panel(panel, analysis.rows_per_point));
-            }
-            _ => draw_panel(&mut canvas, page.left, size, panel),
+        let smooth = match panel.view {
+            View::Phase if analysis.rows_per_point > 2 => Some(smooth_panel(panel, analysis.rows_per_point)),
+            _ => None,
+        };
+        let panel = smooth.as_ref().unwrap_or(panel);
+        let notes = if paper.is_printed() { Vec::new() } else { wrap(&panel.note, page.wide - RIGHT_MARGIN - EDGE_MARGIN, SMALL_TEXT) };
+        // One line of notes has room between two frames.
+        let noted = 14.0 * notes.len().saturating_sub(1) as f64;
+        let top = canvas.lengthen(noted + high + foot) + noted;
+        draw_panel(&mut canvas, (page.left, top), (page.wide - page.left - RIGHT_MARGIN, high), panel);
+        for (line, note) in notes.iter().rev().enumerate() {
+            canvas.text((page.wide - RIGHT_MARGIN, top - 6.0 - 14.0 * line as f64), SMALL_TEXT, Anchor::End, false, note);
         }
+        canvas.caption(paper.is_printed().then_some(panel.note.as_str()));
     }
     let views: Vec<&str> = analysis.panels.iter().map(|panel| panel.y.name.as_str()).collect();
     canvas.finish(title, &format!("A recording: {}.", views.join("; ")))
 }
 
-/// Draws a panel at the bottom of the canvas; `left` and `size` are those of its frame.
-fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
-    let notes = wrap(&panel.note, left + size.0 - EDGE_MARGIN, SMALL_TEXT);
+/// Draws a panel with the upper left corner of its frame at this place.
+fn draw_panel(canvas: &mut Canvas, at: (f64, f64), size: (f64, f64), panel: &Panel) {
     let colours = CURVE_COLOURS.into_iter().cycle();
-    let entries: Vec<(Mark<'_>, String)> = panel
-        .curves
-        .iter()
-        .zip(colours.clone())
-        .map(|(curve, colour)| (Mark::Line(Stroke::solid(colour, 1.6)), curve.name.clone()))
-        .collect();
-    let longest = entries.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0) as f64;
-    let in_a_row = ((size.0 / (53.0 + 6.5 * longest)) as usize).max(1);
-    let legend: Vec<_> = if entries.len() > 1 { entries.chunks(in_a_row).collect() } else { Vec::new() };
-    // Between two frames there is room for one line of notes and one line of the legend.
-    let noted = 14.0 * (notes.len() - 1) as f64;
-    let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
-    let at = (left, canvas.lengthen(above + size.1 + PANEL_FOOT_HEIGHT) + above);
-
     let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| is_finite(p));
     let ends = |pick: fn(&(f64, f64)) -> f64| {
         let (low, high) =
@@ -64,17 +62,18 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         // Centres the axis on the value of a constant curve.
         let span =
             if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
-        Axis {
-            name: quantity.name.clone(),
-            unit: quantity.unit.clone(),
-            low: low - room * span,
-            high: high + room * span,
-        }
+        Axis::new(&quantity.name, &quantity.unit, low - room * span, high + room * span)
     };
     let y = axis(&panel.y, ends(|p| p.1), 0.06);
     let frame = PlotArea { at, size, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
+    let mut names: Vec<CurveName<'_>> = Vec::new();
     frame.draw_clipped(canvas, |canvas| {
+        for (from, to) in &panel.contact {
+            let corners = [(*from, frame.y.low), (*from, frame.y.high), (*to, frame.y.high), (*to, frame.y.low)];
+            canvas.polygon(&corners.map(|(x, y)| frame.pixel(x, y)), FAINT_GREY, 0.22);
+        }
         for (curve, colour) in panel.curves.iter().zip(colours) {
+            let mut whole = Vec::new();
             for piece in &curve.pieces {
                 let points = match panel.view {
                     View::Time | View::Spectrum => thin_to_envelope(&frame, piece),
@@ -83,7 +82,9 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
                 // A line that crosses itself many times would become an area.
                 let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY_POINTS;
                 frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
+                whole.extend(points);
             }
+            names.push(CurveName { curve: whole, colour, name: curve.name.clone() });
         }
         if frame.y.low < 0.0 && frame.y.high > 0.0 {
             frame.curve(
@@ -97,13 +98,12 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         }
     });
     frame.draw(canvas, "");
-    for (line, note) in notes.iter().rev().enumerate().filter(|(_, note)| !note.is_empty()) {
-        let y = at.1 - 6.0 - 14.0 * line as f64;
-        canvas.text((at.0 + size.0, y), SMALL_TEXT, Anchor::End, false, note);
+    if names.len() > 1 {
+        let drawn: Vec<Vec<(f64, f64)>> = names.iter().map(|name| name.curve.clone()).collect();
+        frame.name_curves(canvas, &drawn, &names);
     }
-    // The legend is above the frame and its note, so it hides no curve.
-    for (row, entries) in legend.iter().rev().enumerate() {
-        PlotArea::legend_line(canvas, (at.0, at.1 - 24.0 - noted - 18.0 * row as f64), entries);
+    if !panel.contact.is_empty() {
+        canvas.coloured_text((at.0 + size.0, at.1 + size.1 + 34.0), SMALL_TEXT, Anchor::End, INK, "shaded: contact");
     }
 }
 
