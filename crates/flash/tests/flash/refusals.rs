@@ -28,8 +28,8 @@ fn an_image_for_another_board_is_refused() {
     let error = refusal(&site, &image("h-bridge-f405", "0.2.0", 11));
     assert_eq!(
         error.to_string(),
-        "identifying the board: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for \
-         it: haptic flash odrive-v3; nothing was changed"
+        "identifying the board: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for this \
+         board: haptic flash odrive-v3; nothing was changed"
     );
     assert_eq!(site.0.borrow().requests, 0, "its boot loader is not entered");
 }
