@@ -380,7 +380,7 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
     let name = escape_html(name);
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{name}</title>\n\
-         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{PAGE_STYLE}</style>\n</head>\n<body>\n\
          <h1>{name}</h1>\n<p>{}</p>\n<div class=\"device\">{}</div>\n<table>\n",
         escape_html(&about),
         figure(0)

@@ -2,7 +2,7 @@
 
 use super::common::root;
 use super::devtools::{Browser, Tab};
-use super::{LAPTOP, as_an_expert, place_before_wall, drag_the_wall, plane_place};
+use super::{LAPTOP, as_an_expert, drag_the_wall, place_before_wall, plane_place};
 
 pub fn path() -> String {
     std::env::var("HAPTIC_PLAYGROUND")
@@ -55,7 +55,8 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
     let (mut browser, tab) = open_page();
     let (from, to) = (plane_place(&mut browser, &tab, 80.0, 8700.0), plane_place(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
-    browser.wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
+    browser
+        .wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
     drag_the_wall(&mut browser, &tab);
     let count = browser.evaluate(&tab, "$('choice').length").as_u64().unwrap();
     assert!(count >= 5, "{count} devices");
@@ -84,12 +85,15 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
             &format!("view.hello?.device === '{device}' && view.last && view.wanted === null && view.pictures > 10"),
         );
     }
-    browser
-        .wait_until(&tab, "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
+    browser.wait_until(
+        &tab,
+        "$('choice').selectedOptions[0].text.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2",
+    );
     browser.evaluate(&tab, "location.hash = 'device=nothing'");
     browser.wait_until(&tab, "$('why').textContent.includes('s device nothing')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
-    browser.wait_until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
+    browser
+        .wait_until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
     // Choosing the demo again resets it, and its hand follows the mouse.
     assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout");
     let place = place_before_wall(&mut browser, &tab, 0.03);

@@ -41,7 +41,8 @@ pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStr
 
 impl Browser {
     pub fn start() -> Self {
-        let program = BROWSER_NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(NO_BROWSER);
+        let program =
+            BROWSER_NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(NO_BROWSER);
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new(program)
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
@@ -158,7 +159,7 @@ impl Browser {
                 tab,
                 "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
             );
-            panic!("{expression} did not become true: {seen}");
+            panic!("{expression} did not become true: {page_state}");
         }
     }
 
@@ -213,7 +214,8 @@ impl Browser {
 
     /// Returns a screenshot of a page as PNG.
     pub fn save_picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
-        let answer = self.call_page(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
+        let answer =
+            self.call_page(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
         base64(answer["data"].as_str().unwrap())
     }
 

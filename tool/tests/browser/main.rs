@@ -57,7 +57,13 @@ fn place_on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) ->
 }
 
 fn plane_place(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (f64, f64) {
-    place_on(browser, tab, "plane", &format!("view.planeFrame.X({damping})"), &format!("view.planeFrame.Y({stiffness})"))
+    place_on(
+        browser,
+        tab,
+        "plane",
+        &format!("view.planeFrame.X({damping})"),
+        &format!("view.planeFrame.Y({stiffness})"),
+    )
 }
 
 /// Drags the handle of the first wall down and waits until the wall has followed.
@@ -181,7 +187,11 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     browser.call_page(&tab, "Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
     let touch = |browser: &mut Browser, kind: &str, fingers: &[(f64, f64)]| {
         let points = fingers.iter().enumerate().map(|(id, (x, y))| json!({"x": x, "y": y, "id": id}));
-        browser.call_page(&tab, "Input.dispatchTouchEvent", json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()}));
+        browser.call_page(
+            &tab,
+            "Input.dispatchTouchEvent",
+            json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()}),
+        );
     };
     let key = place_on(&mut browser, &tab, "key", "60", "30");
     touch(&mut browser, "touchStart", &[key]);
@@ -230,7 +240,8 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     let (from, to) = (plane_place(&mut browser, &tab, 80.0, 8700.0), plane_place(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
     // One pixel of the plane is some tens of N/m.
-    browser.wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
+    browser
+        .wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
     assert_eq!(
         browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
         true
@@ -286,7 +297,8 @@ fn the_plane_has_no_overlaps_on_shipped_devices() {
         ("woodenhaptics", "room", "log"),
         ("capstan-pantograph", "wall", "even"),
     ] {
-        let (device, scene) = (shipped_path(&format!("{name}.toml")), shipped_path(&format!("scenes/{name}/{scene}.toml")));
+        let (device, scene) =
+            (shipped_path(&format!("{name}.toml")), shipped_path(&format!("scenes/{name}/{scene}.toml")));
         let demo = ["--port", "sim"];
         let own = [&device, "--port", "sim", "--scene", &scene];
         let view = View::start(if name == "coupled-five-bar" { &demo } else { &own });
@@ -353,9 +365,9 @@ fn tried_gains_are_marked_and_limits_are_explained() {
     browser.wait_until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
     let notice = browser.evaluate(&tab, "$('limits').innerText").as_str().unwrap().to_string();
     for words in ["no delay", "cut-off 100 Hz", "Hand: none", "Left out", "quiet at 8.70 kN/m"] {
-        assert!(notice.contains(words), "{words}: {told}");
+        assert!(notice.contains(words), "{words}: {notice}");
     }
-    assert!(!notice.contains("rigid transmissions"), "this device is rigid: {told}");
+    assert!(!notice.contains("rigid transmissions"), "this device is rigid: {notice}");
     browser.evaluate(&tab, "$('limits').onkeydown(new KeyboardEvent('keydown', {key: 'Escape'}))");
     assert_eq!(browser.evaluate(&tab, "$('limits').hidden && $('explain').getAttribute('aria-expanded')"), "false");
     let spoken = browser.evaluate(&tab, "$('dot').textContent").as_str().unwrap().to_string();
@@ -447,7 +459,10 @@ fn a_link_restores_device_pose_walls_and_gains() {
     browser.evaluate(&tab, "say({ do: 'wall', wall: 0, point: [0.01, 0.15], normal: [0, 1] })");
     browser.wait_until(&tab, "view.walls[0].stiffness === 12345 && view.walls[0].values[4] === 1");
     let link = browser.evaluate(&tab, "$('copy').click(), link()").as_str().unwrap().to_string();
-    browser.wait_until(&tab, "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')");
+    browser.wait_until(
+        &tab,
+        "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')",
+    );
     let hash = link.split('#').nth(1).unwrap().to_string();
     assert!(!link.contains('?'), "a link must not contain the token: {link}");
     browser.evaluate(&tab, "$('take').click()");
@@ -466,7 +481,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
         ("wall=1,1,off&wall=1,1,off", "2 walls"),
         ("wall=-5,1,off", "stiffness"),
     ] {
-        browser.evaluate(&other, &format!("notice(''); location.hash = '{wrong}'"));
+        browser.evaluate(&other, &format!("notice(''); location.hash = '{page_errors}'"));
         browser.wait_until(
             &other,
             &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
@@ -566,7 +581,8 @@ fn start_over_resets_and_rate_and_device_change() {
     );
     browser.wait_until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
     browser.evaluate(&tab, "$('rail').checked = true; $('stage').onkeydown({key: 'ArrowUp', preventDefault() {}})");
-    browser.wait_until(&tab, "Math.hypot(...wallPlace(RAIL.before).map((at, i) => at - view.last.hand.goal[i])) < 1e-6");
+    browser
+        .wait_until(&tab, "Math.hypot(...wallPlace(RAIL.before).map((at, i) => at - view.last.hand.goal[i])) < 1e-6");
     browser.evaluate(&tab, "$('choice').value = 1; $('choice').onchange()");
     browser.wait_until(
         &tab,
@@ -591,7 +607,8 @@ fn a_single_sweep_waits_for_its_trigger() {
     lead_into_the_wall(&mut browser, &tab);
     browser.wait_until(&tab, "view.sweep && view.sweep[1] === 3 && $('phase').textContent === 'one sweep'");
     browser.evaluate(&tab, "$('scope').style.maxHeight = '80px'");
-    browser.wait_until(&tab, "$('scope').clientHeight === 80 && $('scope').height === Math.round(80 * devicePixelRatio)");
+    browser
+        .wait_until(&tab, "$('scope').clientHeight === 80 && $('scope').height === Math.round(80 * devicePixelRatio)");
     browser.send_space(&tab, "keyUp");
     assert_eq!(browser.console_errors(), [""; 0]);
 }

@@ -4,7 +4,7 @@
 use super::LAPTOP;
 use super::as_a_file::path;
 use super::common::sim::{Sim, wait_until};
-use super::common::{shipped_path, root};
+use super::common::{root, shipped_path};
 use super::devtools::{Browser, TIMEOUT, Tab, base64, connect};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, TcpWire};
@@ -58,7 +58,11 @@ impl Cable {
         let mut board = TcpStream::connect(board.trim_start_matches("tcp:")).unwrap();
         board.set_nodelay(true).unwrap();
         board.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
-        browser.call_page(tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("{{{PORT}}}")}));
+        browser.call_page(
+            tab,
+            "Page.addScriptToEvaluateOnNewDocument",
+            json!({"source": format!("{{{FAKE_PORT_SCRIPT}}}")}),
+        );
         let call_page = |method: &str, parameters: Value| {
             Message::text(json!({"id": 1, "method": method, "params": parameters}).to_string())
         };
@@ -146,7 +150,7 @@ fn hold_space(browser: &mut Browser, tab: &Tab) {
     let start = Instant::now();
     while browser.evaluate(tab, ARMED) != true {
         let notice = browser.evaluate(tab, "$('why').textContent");
-        assert!(start.elapsed() < TIMEOUT, "the motors stay off: {told}");
+        assert!(start.elapsed() < TIMEOUT, "the motors stay off: {notice}");
         browser.send_space(tab, "keyUp");
         browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
         browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
@@ -167,7 +171,7 @@ fn use_until_browser_dies(board: &str, device: &str, name: &str) {
     open(&mut browser, &tab);
     assert_eq!(browser.evaluate(&tab, "$('device').textContent"), device);
     let place_on = browser.evaluate(&tab, "$('board').textContent").as_str().unwrap().to_string();
-    assert!(place_on.starts_with(name) && place_on.contains("on USB"), "{on}");
+    assert!(place_on.starts_with(name) && place_on.contains("on USB"), "{place_on}");
     browser.wait_until(&tab, "$('why').textContent.includes('real motors')");
     assert_eq!(browser.evaluate(&tab, "test.asked[0].filters[0].usbVendorId"), 0x1209);
     assert_eq!(browser.evaluate(&tab, "$('let-go').hidden && $('record').hidden"), true);
@@ -305,7 +309,7 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
         let shows_cause = format!(
             "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
         );
-        browser.wait_until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
+        browser.wait_until(&tab, &format!("{shows_cause} && view.hello?.simulated && view.pictures > 10"));
         assert_eq!(
             browser
                 .evaluate(&tab, "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'"),

@@ -1,7 +1,7 @@
 //! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
 //! picture by its ticks and labels, without the drawing code.
 
-use crate::common::{Folder, file, haptic, json, output, type_lines};
+use crate::common::{Folder, haptic, json, output, shipped_path, svg_number, type_lines};
 use haptic_show::plot::axes::{Axis, CurveName, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -115,7 +115,7 @@ fn the_picture_shows_the_recorded_values() {
         text.contains("a-device in contact with a wall, recorded 2026-01-01")
             && text.contains("wall 0: plane, 3000 N/m")
     );
-    let panels = read(&text);
+    let panels = read_panels(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
         "time (s)",
@@ -181,7 +181,7 @@ fn names_stand_at_their_curves_and_cover_none() {
         x: Axis::new("x", "m", 0.0, 600.0),
         y: Axis::new("y", "m", 0.0, 300.0),
     };
-    let line = |from: f64, to: f64| (0..=60).map(|i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
+    let line = |from: f64, to: f64| (0..=60).map(move |i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
     let curves: [Vec<(f64, f64)>; 2] = [line(0.0, 300.0).collect(), line(300.0, 0.0).collect()];
     let names = [("rising", "red"), ("falling", "blue")].into_iter().zip(&curves);
     let names: Vec<CurveName<'_>> =
@@ -191,7 +191,7 @@ fn names_stand_at_their_curves_and_cover_none() {
     let svg = canvas.finish("", "").svg().to_string();
     for (index, name) in ["rising", "falling"].iter().enumerate() {
         let text = svg.lines().find(|line| line.contains(&format!(">{name}<"))).unwrap();
-        let (x, y) = (attribute(text, "x").unwrap(), attribute(text, "y").unwrap());
+        let (x, y) = (svg_number(text, "x").unwrap(), svg_number(text, "y").unwrap());
         let distance = |curve: &[(f64, f64)]| {
             let at = curve.iter().map(|&(x, y)| frame.pixel(x, y));
             let from =

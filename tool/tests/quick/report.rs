@@ -35,7 +35,7 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
     output(&["report", device, scene, "--without", "tune", "--out", &path]);
     let page = std::fs::read_to_string(path).unwrap();
-    let elements = elements(&page);
+    let elements = closed_elements(&page);
     for name in ["script", "link", "img", "iframe", "object"] {
         assert!(!elements.contains(&name.to_string()), "{name}");
     }
@@ -59,7 +59,7 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     }
 
     let lines: Vec<String> =
-        page.split("<code>").skip(1).map(|rest| plain(rest.split("</code>").next().unwrap())).collect();
+        page.split("<code>").skip(1).map(|rest| unescape(rest.split("</code>").next().unwrap())).collect();
     assert_eq!(lines.len(), 5);
     let mut pages = page.split("<section ").skip(1);
     for line in lines {

@@ -575,13 +575,13 @@ fn every_page_may_request_the_limiting_effects() {
 #[test]
 fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = TestView::demo();
-    view.boundary();
+    view.wait_for_boundary();
     assert!(view.page(0).picture["buzz"].is_null(), "a stable wall must not buzz");
     // With the hand in contact, which a page shows at 73 Hz.
     view.arm(0);
     let place = view.place_by_tip(-0.03, 0.0);
     view.send(0, json!({"do": "hand", "at": place}));
-    view.send(0, gains(8700.0, 80.0, "off", true));
+    view.send(0, gains_message(8700.0, 80.0, "off", true));
     view.play(1.5);
     let buzz = &view.page(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());

@@ -76,7 +76,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
     let scene = demo.scene(surface, feed_forward);
     board.set_scene(&scene)?;
-    let (moments, lost, fault) = press(&mut board, &shared, &scene, path(demo, tip), &[], END_TIME, progress)?;
+    let (moments, lost, fault) = press(&mut board, &shared, &scene, hand_path(demo, tip), &[], END_TIME, progress)?;
     Ok(assess(moments, lost, fault))
 }
 

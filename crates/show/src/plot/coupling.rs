@@ -133,7 +133,9 @@ fn motion(
     let free =
         device.mass.clone().cholesky().map(|mass| w_eff * mass.solve(&device.row)).unwrap_or_else(|| held.clone());
     let mut names = Vec::new();
-    for (motion, inertia, colour, name) in [(&free, w_eff, OFF_COLOUR, "without"), (&held, w_rr, FULL_COLOUR, "with feed-forward")] {
+    for (motion, inertia, colour, name) in
+        [(&free, w_eff, OFF_COLOUR, "without"), (&held, w_rr, FULL_COLOUR, "with feed-forward")]
+    {
         let Some(along) = tip_displacement(description, q, here, motion) else { continue };
         // The distance grows with the square of time, and with the reciprocal of the inertia.
         let at = |dot: usize| {

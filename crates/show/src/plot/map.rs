@@ -125,7 +125,8 @@ pub fn chart(
     draw_normal(&mut canvas, (frame.at.0 + frame.size.0 + 44.0, bottom + 24.0), cut.project(normal));
     draw_colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
     let mass = typical.map(|typical| round_step(typical / 2.5));
-    let size = typical.zip(mass).map(|(typical, mass)| (ELLIPSE_RADIUS * (mass / typical).sqrt(), with_unit(mass, "kg")));
+    let size =
+        typical.zip(mass).map(|(typical, mass)| (ELLIPSE_RADIUS * (mass / typical).sqrt(), with_unit(mass, "kg")));
     if !paper.is_printed() {
         draw_key(&mut canvas, &page, bottom + 74.0, size, home.is_some());
     } else if let Some((radius, mass)) = size {

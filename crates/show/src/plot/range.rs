@@ -120,7 +120,8 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     frame.draw_clipped(&mut canvas, |canvas| {
         frame.area_under(canvas, &points(&range.full), FULL_COLOUR, 0.10);
         frame.area_under(canvas, &points(&range.off), OFF_COLOUR, 0.16);
-        for (domain, colour) in [(Some(&range.off), OFF_COLOUR), (Some(&range.full), FULL_COLOUR), (range.washout.as_ref(), WASHOUT_COLOUR)]
+        for (domain, colour) in
+            [(Some(&range.off), OFF_COLOUR), (Some(&range.full), FULL_COLOUR), (range.washout.as_ref(), WASHOUT_COLOUR)]
         {
             for island in domain.map_or(&[][..], |d| &d.islands) {
                 let ends = [(island.kd, island.kp_low), (island.kd, island.kp_high)];

@@ -23,7 +23,9 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         let mut front: Vec<(f64, f64, String)> = variants
             .iter()
             .filter(|variant| variant.pareto)
-            .filter_map(|variant| Some((variant.tip_force_error(), f64::from(variant.instructions?), short_name(&variant.name))))
+            .filter_map(|variant| {
+                Some((variant.tip_force_error(), f64::from(variant.instructions?), short_name(&variant.name)))
+            })
             .collect();
         front.sort_by(|a, b| a.0.total_cmp(&b.0));
         (device.mechanism.kind().spec().name, front)

@@ -1,5 +1,6 @@
 //! `haptic demo` prints the results of its runs, which are the same on every machine.
 
+use crate::common::type_lines;
 use crate::common::{Folder, json, output};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};

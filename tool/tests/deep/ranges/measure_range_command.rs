@@ -110,7 +110,7 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
     }
     let readme = read("README.md").replace('\n', " ");
     let kilonewtons = |i: usize| points[i]["kp"].as_f64().unwrap() / 1e3;
-    let said = format!(
+    let stiffnesses = format!(
         "{:.2} kN/m with the feed-forward and {:.2} kN/m without: **{:.2} times**",
         kilonewtons(3),
         kilonewtons(1),

@@ -21,7 +21,11 @@ const CURVE_COLOURS: [&str; 4] = [FULL_COLOUR, OFF_COLOUR, WASHOUT_COLOUR, BOUND
 pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper) -> Picture {
     let page = paper.page(LEFT_MARGIN + FRAME_SIZE.0 + RIGHT_MARGIN, LEFT_MARGIN);
     let heading = page.heading(title, subtitle);
-    let (head, foot) = if paper.is_printed() { (-PANEL_FOOT_HEIGHT + EDGE_MARGIN, 50.0) } else { (HEADING_HEIGHT - PANEL_FOOT_HEIGHT + heading.extra_height(1), PANEL_FOOT_HEIGHT) };
+    let (head, foot) = if paper.is_printed() {
+        (-PANEL_FOOT_HEIGHT + EDGE_MARGIN, 50.0)
+    } else {
+        (HEADING_HEIGHT - PANEL_FOOT_HEIGHT + heading.extra_height(1), PANEL_FOOT_HEIGHT)
+    };
     // On paper the panels share the height of a column, if that leaves each enough.
     let high = match paper.is_printed() {
         true => ((page.most_high() - EDGE_MARGIN) / analysis.panels.len() as f64 - foot).max(50.0),
@@ -35,13 +39,23 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
             _ => None,
         };
         let panel = smooth.as_ref().unwrap_or(panel);
-        let notes = if paper.is_printed() { Vec::new() } else { wrap(&panel.note, page.wide - RIGHT_MARGIN - EDGE_MARGIN, SMALL_TEXT) };
+        let notes = if paper.is_printed() {
+            Vec::new()
+        } else {
+            wrap(&panel.note, page.wide - RIGHT_MARGIN - EDGE_MARGIN, SMALL_TEXT)
+        };
         // One line of notes has room between two frames.
         let noted = 14.0 * notes.len().saturating_sub(1) as f64;
         let top = canvas.lengthen(noted + high + foot) + noted;
         draw_panel(&mut canvas, (page.left, top), (page.wide - page.left - RIGHT_MARGIN, high), panel);
         for (line, note) in notes.iter().rev().enumerate() {
-            canvas.text((page.wide - RIGHT_MARGIN, top - 6.0 - 14.0 * line as f64), SMALL_TEXT, Anchor::End, false, note);
+            canvas.text(
+                (page.wide - RIGHT_MARGIN, top - 6.0 - 14.0 * line as f64),
+                SMALL_TEXT,
+                Anchor::End,
+                false,
+                note,
+            );
         }
         canvas.caption(paper.is_printed().then_some(panel.note.as_str()));
     }
