@@ -188,7 +188,8 @@ fn names_stand_at_their_curves_and_cover_none() {
         x: Axis::new("x", "m", 0.0, 600.0),
         y: Axis::new("y", "m", 0.0, 300.0),
     };
-    let line = |from: f64, to: f64| (0..=60).map(|i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
+    let line =
+        |from: f64, to: f64| (0..=60).map(move |i| (10.0 * f64::from(i), from + (to - from) * f64::from(i) / 60.0));
     let curves: [Vec<(f64, f64)>; 2] = [line(0.0, 300.0).collect(), line(300.0, 0.0).collect()];
     let names = [("rising", "red"), ("falling", "blue")].into_iter().zip(&curves);
     let names: Vec<CurveName<'_>> =
