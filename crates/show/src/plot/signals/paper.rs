@@ -24,7 +24,7 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
     let (head, foot) = if paper.is_printed() { (-FOOT + EDGE, 50.0) } else { (HEAD - FOOT + heading.beyond(1), FOOT) };
     // On paper the panels share the height of a column, if that leaves each enough.
     let high = match paper.is_printed() {
-        true => ((page.most_high() - EDGE) / analysis.panels.len() as f64 - foot).max(50.0),
+        true => ((page.most_high() - EDGE) / analysis.panels.len() as f64 - foot).max(84.0),
         false => SIZE.1,
     };
     let mut canvas = page.canvas(head + FOOT);
