@@ -119,9 +119,9 @@ fn the_picture_shows_the_recorded_values() {
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
         "time (s)",
-        "rendered force (N)",
+        "force (N)",
         "penetration (mm)",
-        "rendered force (N)",
+        "force (N)",
         "frequency (Hz)",
         "amplitude re 1 N (dB)",
         "distance to the wall (mm)",

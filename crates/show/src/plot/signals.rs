@@ -229,7 +229,7 @@ pub(crate) fn column_quantity(label: &str) -> Quantity {
     // The "n" in "rendered_n" is the unit, which is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));
     let name = label.strip_suffix(&suffix).filter(|_| !unit.is_empty()).unwrap_or(label);
-    let name = if name == "rendered" { "rendered force".into() } else { name.replace('_', " ") };
+    let name = if name == "rendered" { "force".into() } else { name.replace('_', " ") };
     Quantity { name, unit: unit.into() }
 }
 

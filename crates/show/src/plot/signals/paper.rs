@@ -28,7 +28,7 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
     };
     // On paper the panels share the height of a column, if that leaves each enough.
     let high = match paper.is_printed() {
-        true => ((page.most_high() - EDGE_MARGIN) / analysis.panels.len() as f64 - foot).max(50.0),
+        true => ((page.most_high() - EDGE_MARGIN) / analysis.panels.len() as f64 - foot).max(84.0),
         false => FRAME_SIZE.1,
     };
     let mut canvas = page.canvas(head + PANEL_FOOT_HEIGHT);
