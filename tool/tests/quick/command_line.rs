@@ -116,7 +116,7 @@ fn existing_files_are_overwritten_only_with_force() {
     for (line, name) in [
         (format!("check {device} --svg"), "a.svg"),
         (format!("check {device} --png"), "a.png"),
-        (format!("report {device} --without estimators,tune,map,design --out"), "a.html"),
+        (format!("report {device} --without tune,map,design --out"), "a.html"),
         ("new paddle -o".into(), "a.toml"),
     ] {
         let path = folder.write(name, "mine");
