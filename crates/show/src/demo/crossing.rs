@@ -1,14 +1,12 @@
 //! A hand that presses onto the wall and slides along it.
 
 use super::{Demo, DemoError};
-use crate::view::world::{World, hand_settings};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
 use haptic_bridge::safety::fault::State;
-use haptic_host::error::Failure;
 use haptic_host::link::{Board, Row, columns, fields};
-use haptic_sim::{BoardOptions, Hand, Intent, Options, SharedBoard, Waypoint, ready_board};
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
@@ -20,7 +18,7 @@ pub const SLIDE_DISTANCE: f64 = 0.02;
 /// Time at which the hand starts to move, s after arming, when the torque ramp is over.
 const START_TIME: f64 = 0.6;
 /// Time at which the hand reaches its target depth, s.
-const DEPTH_TIME: f64 = 0.85;
+pub(crate) const DEPTH_TIME: f64 = 0.85;
 /// Time at which the hand starts to slide, s.
 const SLIDE_START: f64 = 1.4;
 /// Time at which the slide ends, s.
@@ -28,12 +26,12 @@ const SLIDE_END: f64 = 2.4;
 /// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
-/// Time at which [`switched`] begins: the hand rests and the wall buzzes, s after arming.
-const SWITCHED_FROM: f64 = 2.5;
-/// Durations without, with and without the feed-forward in [`switched`], s.
+/// Time at which `view::world::switched` begins: the hand rests and the wall buzzes, s after arming.
+pub(crate) const SWITCHED_FROM: f64 = 2.5;
+/// Durations without, with and without the feed-forward in `view::world::switched`, s.
 pub const PHASES: [f64; 3] = [0.25, 0.35, 0.6];
-/// Depth of the hand below the wall's surface in [`switched`], m.
-const RESTING_DEPTH: f64 = 0.045;
+/// Depth of the hand below the wall's surface in `view::world::switched`, m.
+pub(crate) const RESTING_DEPTH: f64 = 0.045;
 
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,6 +65,14 @@ pub struct Crossing {
     pub fault: Option<String>,
 }
 
+/// Tremor of the simulated hand, m, which excites the oscillation of an unstable wall.
+const TREMOR: f64 = 2e-4;
+
+/// Returns the settings of the hand that presses the wall, also on the page.
+pub fn hand_settings() -> HandSettings {
+    HandSettings { tremor: TREMOR, ..HandSettings::default() }
+}
+
 /// Lets the hand cross the wall. Calls `progress` with the completed share of the crossing.
 pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)) -> Result<Crossing, DemoError> {
     let device = Options { start: Some(demo.pose), ..Options::default() };
@@ -80,41 +86,9 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     Ok(assess(moments, lost, fault))
 }
 
-/// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
-/// and the moments of these [`PHASES`].
-pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
-    let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
-        return Err(Failure::impossible("the demo is not simulated"));
-    };
-    let scene = board.scene()?.ok_or_else(|| Failure::impossible("the demo has no scene"))?;
-    let Wall { surface: Surface::Plane(plane), stiffness, damping, .. } = scene.walls[0] else {
-        return Err(Failure::impossible("the demo has no plane"));
-    };
-    let (tip, pose) = {
-        let board = shared.lock();
-        (board.device().tip(), board.device().q())
-    };
-    let normal = [plane.normal[0], plane.normal[1]].map(f64::from);
-    let (stiffness, damping) = (f64::from(stiffness), f64::from(damping));
-    let demo = Demo { file, pose, normal, stiffness, damping, ..Demo::shipped(1)? };
-    let depth = (0..2).map(|i| (tip[i] - f64::from(plane.point[i])) * normal[i]).sum::<f64>() + RESTING_DEPTH;
-    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)]
-        .map(|(time, depth)| Waypoint { time, value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0] });
-    let [off, on, again] = PHASES;
-    let modes = [
-        (0.0, FeedForward::Off),
-        (SWITCHED_FROM + off, FeedForward::Washout),
-        (SWITCHED_FROM + off + on, FeedForward::Off),
-    ];
-    let end = SWITCHED_FROM + off + on + again;
-    let (moments, ..) = press(&mut board, &shared, &scene, rest.to_vec(), &modes, end, &mut |_| {})?;
-    let first = moments.len().saturating_sub(((off + on + again) * demo.rate_hz) as usize);
-    Ok((demo, moments[first..].to_vec()))
-}
-
 /// Lets the hand follow a path until `end` (s after arming) and sets each of the `modes` of the feed-forward at its
 /// time. Returns the moments, the number of lost rows and the fault.
-fn press(
+pub(crate) fn press(
     board: &mut Board,
     shared: &SharedBoard,
     scene: &Scene<f32>,

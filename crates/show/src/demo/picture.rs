@@ -32,7 +32,7 @@ const COLOURS: [&str; 3] = [OFF_COLOUR, WASHOUT_COLOUR, OFF_COLOUR];
 const STYLE: &str = "<style>.moving{display:none}@media (prefers-reduced-motion:no-preference)\
     {.still{display:none}.moving{display:inline}}</style>";
 
-/// Draws the `moments` of [`switched`](super::crossing::switched), with the comparison of two crossings in words.
+/// Draws the `moments` of [`switched`](crate::view::world::switched), with the comparison of two crossings in words.
 pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing) -> Picture {
     let begin = moments.first().map_or(0.0, |moment| moment.time);
     let mut until = 0.0;
@@ -56,7 +56,7 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
     force(&mut canvas, begin, &phases, ripples);
     let [better, worse] = Comparison::of(without, with).sentences();
     let wall = format!(
-        "The wall of `haptic view --port sim`: {:.1} kN/m and {:.0} N s/m, control at {:.0} kHz, a tenth of the usual dry friction.",
+        "The wall that the page opens with: {:.1} kN/m and {:.0} N s/m, control at {:.0} kHz, a tenth of the usual dry friction.",
         demo.stiffness / 1000.0,
         demo.damping,
         demo.rate_hz / 1000.0

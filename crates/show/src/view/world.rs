@@ -1,15 +1,17 @@
 //! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
+pub use crate::demo::crossing::hand_settings;
+use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, press};
 use haptic_bridge::model::shipped::WORLDS;
-use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, LinkError};
 use haptic_host::scene_file::SceneFile;
 use haptic_predict::wall_ahead::wall_ahead;
-use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
+use haptic_sim::{BoardOptions, Hand, Intent, Options, SharedBoard, Waypoint, ready_board};
 
 /// Distance of the wall of [`World::demo`] from the tip, m.
 const WALL_DISTANCE: f64 = 0.010;
@@ -17,8 +19,6 @@ const WALL_DISTANCE: f64 = 0.010;
 const FRICTION_FACTOR: f64 = 0.1;
 /// Number of encoder counts in the demo, relative to the device file.
 const ENCODER_FACTOR: f64 = 5.0;
-/// Tremor of the simulated hand, m, which excites the oscillation of an unstable wall.
-const TREMOR: f64 = 2e-4;
 
 /// A board, its device and its simulation.
 pub struct World {
@@ -126,9 +126,36 @@ impl World {
     }
 }
 
-/// Returns the settings of the hand that a page moves.
-pub fn hand_settings() -> HandSettings {
-    HandSettings { tremor: TREMOR, ..HandSettings::default() }
+/// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
+/// and the moments of these [`PHASES`].
+pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
+    let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
+        return Err(Failure::impossible("the demo is not simulated"));
+    };
+    let scene = board.scene()?.ok_or_else(|| Failure::impossible("the demo has no scene"))?;
+    let Wall { surface: Surface::Plane(plane), stiffness, damping, .. } = scene.walls[0] else {
+        return Err(Failure::impossible("the demo has no plane"));
+    };
+    let (tip, pose) = {
+        let board = shared.lock();
+        (board.device().tip(), board.device().q())
+    };
+    let normal = [plane.normal[0], plane.normal[1]].map(f64::from);
+    let (stiffness, damping) = (f64::from(stiffness), f64::from(damping));
+    let demo = Demo { file, pose, normal, stiffness, damping, ..Demo::shipped(1)? };
+    let depth = (0..2).map(|i| (tip[i] - f64::from(plane.point[i])) * normal[i]).sum::<f64>() + RESTING_DEPTH;
+    let rest = [(0.0, 0.0), (DEPTH_TIME, depth)]
+        .map(|(time, depth)| Waypoint { time, value: [tip[0] - depth * normal[0], tip[1] - depth * normal[1], 0.0] });
+    let [off, on, again] = PHASES;
+    let modes = [
+        (0.0, FeedForward::Off),
+        (SWITCHED_FROM + off, FeedForward::Washout),
+        (SWITCHED_FROM + off + on, FeedForward::Off),
+    ];
+    let end = SWITCHED_FROM + off + on + again;
+    let (moments, ..) = press(&mut board, &shared, &scene, rest.to_vec(), &modes, end, &mut |_| {})?;
+    let first = moments.len().saturating_sub(((off + on + again) * demo.rate_hz) as usize);
+    Ok((demo, moments[first..].to_vec()))
 }
 
 /// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
