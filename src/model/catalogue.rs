@@ -5,12 +5,12 @@ pub const MAX_JOINTS: usize = 3;
 /// Maximum number of links of a mechanism.
 pub const MAX_LINKS: usize = 4;
 /// Maximum number of values in a mechanism's geometry.
-pub const MAX_GEOMETRY: usize = 6;
+pub const MAX_GEOMETRY: usize = 8;
 
 /// Required entries in the device file of a mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spec {
-    /// Name in device files.
+    /// Name in device files. Mechanisms of one name differ in the number of joints.
     pub name: &'static str,
     /// Number of joints N.
     pub joints: usize,
@@ -18,10 +18,12 @@ pub struct Spec {
     pub task: usize,
     /// Names of the links, in order.
     pub links: &'static [&'static str],
+    /// True if a device file may omit all links.
+    pub are_links_optional: bool,
     /// Keys of `[geometry]` in order, each with its number of values.
     pub geometry: &'static [(&'static str, usize)],
-    /// True if angles that differ by a complete turn are the same pose (false for a paddle, whose task is arc length).
-    pub periodic: bool,
+    /// Number of gravity's entries.
+    pub gravity: usize,
 }
 
 /// Expands `$with!{ (Variant, module, N) ... }` over every mechanism. A new mechanism needs one line here.
@@ -34,6 +36,11 @@ macro_rules! mechanisms {
             (FiveBarTurret, five_bar_turret, 3)
             (Parallelogram, parallelogram, 3)
             (Serial3r, serial_3r, 3)
+            (Paddles2, paddle, 2)
+            (Paddles3, paddle, 3)
+            (Chain1, chain, 1)
+            (Chain2, chain, 2)
+            (Chain3, chain, 3)
         }
     };
 }

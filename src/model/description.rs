@@ -4,15 +4,19 @@
 
 use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use crate::model::motor::Motor;
+use nalgebra::Matrix3;
+
+/// Value of a chain's task in [`Description::geometry`] for the arc length of the tip. 0, 1 and 2 are x, y and z.
+pub const ARC: f64 = 3.0;
 
 /// Description of a complete device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Description {
     /// Kind of mechanism. Its [`Spec`](crate::model::catalogue::Spec) gives the number of valid entries per field.
     pub kind: Kind,
-    /// Gravity in the task frame, m/s²; the first `task` entries are valid.
+    /// Gravity in the task frame, m/s²; the first `Spec::gravity` entries are valid.
     pub gravity: [f64; 3],
-    /// Geometry: the values of all keys in the order of `Spec::geometry`. Lengths are in m; signs have no unit.
+    /// Geometry: the values of all keys in the order of `Spec::geometry`. Lengths are in m, angles in rad.
     pub geometry: [f64; MAX_GEOMETRY],
     /// Links in the mechanism's order.
     pub links: [Link; MAX_LINKS],
@@ -37,6 +41,17 @@ impl Description {
         links
     }
 
+    /// Returns true if angles of the joint that differ by a complete turn are the same pose. A prismatic joint never
+    /// repeats, nor does a joint whose task coordinate is an arc length.
+    pub fn repeats(&self, joint: usize) -> bool {
+        let is_arc = match self.kind {
+            Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => true,
+            Kind::Chain1 => self.geometry[3] == ARC,
+            _ => false,
+        };
+        !is_arc && !self.joints.get(joint).is_some_and(|joint| joint.prismatic)
+    }
+
     /// Returns true if any joint has a compliant transmission or a structural mode.
     pub fn is_flexible(&self) -> bool {
         self.joints.iter().any(|joint| joint.transmission.is_some() || joint.structural_modes().next().is_some())
@@ -48,19 +63,78 @@ impl Description {
 pub struct Link {
     /// Mass, kg.
     pub mass: f64,
-    /// Distance of the centre of mass from the proximal joint along the link, m; negative behind the joint.
+    /// Distance of the centre of mass from the proximal joint along the link (x), m; negative behind the joint.
     pub com: f64,
-    /// Inertia about the centre of mass, normal to the linkage plane, kg m².
+    /// Coordinates y and z of the centre of mass in the link's frame, m. Zero unless the mechanism is a chain.
+    pub com_across: [f64; 2],
+    /// Inertia about the centre of mass, normal to the linkage plane (izz), kg m².
     pub inertia: f64,
-    /// Inertia about the link's own axis, kg m².
+    /// Inertia about the link's own axis (ixx), kg m².
     pub inertia_axial: f64,
-    /// Inertia about an axis in the linkage plane, across the link, kg m².
+    /// Inertia about an axis in the linkage plane, across the link (iyy), kg m².
     pub inertia_transverse: f64,
+    /// Entries ixy, ixz and iyz of the inertia tensor, kg m². Zero unless the mechanism is a chain.
+    pub inertia_products: [f64; 3],
 }
 
-/// One actuated joint with its motor and encoder.
+impl Link {
+    /// Returns the centre of mass in the link's frame, m.
+    pub fn com_vector(&self) -> [f64; 3] {
+        [self.com, self.com_across[0], self.com_across[1]]
+    }
+
+    /// Returns the inertia tensor about the centre of mass, kg m².
+    pub fn tensor(&self) -> Matrix3<f64> {
+        let [xy, xz, yz] = self.inertia_products;
+        Matrix3::new(self.inertia_axial, xy, xz, xy, self.inertia_transverse, yz, xz, yz, self.inertia)
+    }
+
+    /// Adds a point mass (kg) at `place` (m) in the link's frame.
+    pub fn add_point(&mut self, mass: f64, place: [f64; 3]) {
+        let total = self.mass + mass;
+        if total <= 0.0 {
+            return;
+        }
+        // Two masses at a distance d have the reduced mass times d² about their common centre.
+        let (com, reduced) = (self.com_vector(), self.mass * mass / total);
+        let [x, y, z]: [f64; 3] = core::array::from_fn(|i| place[i] - com[i]);
+        let moved: [f64; 3] = core::array::from_fn(|i| com[i] + (place[i] - com[i]) * (mass / total));
+        self.mass = total;
+        (self.com, self.com_across) = (moved[0], [moved[1], moved[2]]);
+        self.inertia_axial += reduced * (y * y + z * z);
+        self.inertia_transverse += reduced * (x * x + z * z);
+        self.inertia += reduced * (x * x + y * y);
+        for (product, of) in self.inertia_products.iter_mut().zip([x * y, x * z, y * z]) {
+            *product -= reduced * of;
+        }
+    }
+}
+
+/// Frame of a chain's joint in the frame of the link before, and its axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointFrame {
+    /// Origin, m.
+    pub origin: [f64; 3],
+    /// Roll, pitch and yaw of the rotation Rz(yaw) Ry(pitch) Rx(roll), rad.
+    pub rpy: [f64; 3],
+    /// Axis in the joint's frame; any length but zero.
+    pub axis: [f64; 3],
+}
+
+impl Default for JointFrame {
+    fn default() -> Self {
+        Self { origin: [0.0; 3], rpy: [0.0; 3], axis: [0.0, 0.0, 1.0] }
+    }
+}
+
+/// One actuated joint with its motor and encoder. The coordinate of a prismatic joint is its travel, and every rad in
+/// the units below is a m, every N m a N, and every kg m² a kg.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Joint {
+    /// True if the joint slides along its axis instead of turning about it.
+    pub prismatic: bool,
+    /// Place and axis of the joint. Only a chain uses it.
+    pub frame: JointFrame,
     /// Inertia of the rotor (and of the body, on a turret or a paddle) about the joint, kg m².
     pub inertia: f64,
     /// Viscous friction, N m s/rad.
@@ -174,7 +248,7 @@ pub enum EncoderAt {
 /// An incremental encoder, referred to the joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Encoder {
-    /// Counts per turn of the joint, after x4 decoding.
+    /// Counts per turn of the joint, after x4 decoding. Of a prismatic joint, 2π times the counts per metre.
     pub counts_per_turn: f64,
     /// Joint angle at count 0 after homing, rad.
     pub offset: f64,
@@ -193,10 +267,12 @@ pub enum DescriptionError {
     CannotClose,
     /// `assembly` is neither 1 nor -1.
     Assembly,
-    /// This mechanism cannot have gravity (a paddle's gravity must be zero).
-    GravityNotZero,
     /// The mass matrix would not be positive definite, because some joint moves without inertia.
     NoInertia,
+    /// The axis of a joint has no direction. Holds the joint's index.
+    Axis(usize),
+    /// The joints cannot move the tip along all of the task's coordinates, or a coordinate occurs twice.
+    Task,
     /// A number is infinite or NaN.
     NotFinite,
     /// A mass, inertia or friction coefficient is negative.
@@ -210,10 +286,11 @@ impl core::fmt::Display for DescriptionError {
             Self::GeometryNotPositive(_) => f.write_str("a length must be greater than zero"),
             Self::CannotClose => f.write_str("this geometry cannot close: no joint angles bring the links together"),
             Self::Assembly => f.write_str("assembly must be 1 or -1"),
-            Self::GravityNotZero => f.write_str("gravity must be zero for this mechanism"),
             Self::NoInertia => {
                 f.write_str("a joint would move without any inertia: give it a rotor inertia, or its links a mass")
             }
+            Self::Axis(_) => f.write_str("a joint's axis needs a direction"),
+            Self::Task => f.write_str("the joints cannot move the tip along all of the task's coordinates"),
             Self::NotFinite => f.write_str("every number must be finite"),
             Self::Negative => f.write_str("masses, inertias and friction must not be negative"),
         }

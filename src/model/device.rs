@@ -72,7 +72,9 @@ impl<T: Real> Device<T> {
                     Some(home) => offset_on_count(encoder.offset, home[index], scale),
                     None => encoder.offset,
                 });
-                joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
+                if description.repeats(index) {
+                    joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
+                }
             }
             joint.radians_per_count = r(scale);
             joint.viscous = r(described.viscous);
@@ -83,7 +85,7 @@ impl<T: Real> Device<T> {
         Ok(Self {
             name: short,
             mechanism: AnyMechanism::new(description)?,
-            weight: description.gravity.iter().take(spec.task).any(|g| *g != 0.0),
+            weight: description.gravity.iter().take(spec.gravity).any(|g| *g != 0.0),
             joints,
             home: description.home.map(|home| home.map(r)),
         })

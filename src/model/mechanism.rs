@@ -8,6 +8,7 @@
 //! orientation φ. Its Jacobian J is therefore always square, N x N, and a unit motion of the tip along `n` without
 //! other motion is E = J⁻¹ n (docs/model.md section 2). Rendered directions have zeros beyond `d`.
 
+mod chain;
 mod five_bar;
 mod five_bar_turret;
 mod paddle;

@@ -172,7 +172,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             mechanism,
             mass: MassModel::Exact,
             observers: Observers::new(device, &coefficients),
-            encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
+            encoders: Encoders::new(device, &coefficients, moving),
             passivity: Passivity::new(coefficients.rate()),
             coefficients,
             walls,

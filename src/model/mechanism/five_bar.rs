@@ -286,7 +286,8 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         task: 2,
         links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],
         geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
-        periodic: true,
+        are_links_optional: false,
+        gravity: 2,
     };
     const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1)];
     type Pose = Pose<T>;

@@ -172,7 +172,8 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         task: 3,
         links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],
         geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
-        periodic: true,
+        are_links_optional: false,
+        gravity: 3,
     };
     const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;

@@ -151,7 +151,8 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         task: 3,
         links: &["upper", "fore", "crank", "coupler"],
         geometry: &[("upper", 1), ("fore", 1), ("crank", 1)],
-        periodic: true,
+        are_links_optional: false,
+        gravity: 3,
     };
     const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;

@@ -133,7 +133,8 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         task: 2,
         links: &["link-1", "link-2", "link-3"],
         geometry: &[("lengths", 3)],
-        periodic: true,
+        are_links_optional: false,
+        gravity: 2,
     };
     const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
     type Pose = Pose<T>;

@@ -61,13 +61,13 @@ impl Binary {
 }
 
 impl<T: Real> Encoding<T> {
-    /// Makes the conversion for a control rate in Hz. `periodic` is true if complete turns are the same pose.
-    fn new(joint: &Joint<T>, rate: T, periodic: bool) -> Self {
+    /// Makes the conversion for a control rate in Hz.
+    fn new(joint: &Joint<T>, rate: T) -> Self {
         let scale = joint.radians_per_count;
         let period = joint.counts_per_turn;
         let turns = T::from_i32(period) * scale.abs() * T::from_f64(1.0 / core::f64::consts::TAU) + T::from_f64(0.5);
         let turns = turns.integer_part();
-        let repeats = periodic && period > 0 && turns > 0;
+        let repeats = period > 0 && turns > 0;
         Self {
             radians_per_count: scale,
             speed_per_count: scale * rate,
@@ -121,11 +121,11 @@ pub(super) struct Encoders<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Encoders<T, N> {
-    /// Makes the encoders of a device. Complete turns are the same pose if `periodic`; velocities are used if `moving`.
+    /// Makes the encoders of a device. Velocities are used if `moving`.
     #[inline(never)]
-    pub fn new(device: &Device<T>, coefficients: &Coefficients<T>, periodic: bool, moving: bool) -> Self {
+    pub fn new(device: &Device<T>, coefficients: &Coefficients<T>, moving: bool) -> Self {
         let mut encoders = Self {
-            joints: core::array::from_fn(|i| Encoding::new(&device.joints[i], coefficients.rate(), periodic)),
+            joints: core::array::from_fn(|i| Encoding::new(&device.joints[i], coefficients.rate())),
             zero: [0; N],
             last_counts: [0; N],
             filters: [LowPass::default(); N],
