@@ -156,7 +156,7 @@ fn the_power_limit_counts_the_motors_power_not_the_scenes() {
 fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     const COARSE_COUNTS_PER_TURN: f64 = 705.882;
     let mut coarse = five_bar();
-    coarse.geometry = [0.025, 0.063, 0.063, 0.075, 0.075, 1.0];
+    coarse.geometry = [0.025, 0.063, 0.063, 0.075, 0.075, 1.0, 0.0, 0.0];
     let stands_at = [2.897_247, 0.244_346, 0.0];
     coarse.home = Some(stands_at);
     for joint in &mut coarse.joints[..2] {

@@ -373,7 +373,7 @@ fn check_board(kind: Kind, numbers: &[f64]) -> TestResult {
             }
         };
     }
-    pair!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+    pair!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r Paddles2 Paddles3 Chain1 Chain2 Chain3)
 }
 
 macro_rules! properties {
@@ -400,9 +400,14 @@ properties! {
     FiveBarTurret: a_turreted_five_bar_obeys_mechanics a_turreted_five_bar_keeps_four_digits_on_the_board;
     Parallelogram: a_parallelogram_obeys_mechanics a_parallelogram_keeps_four_digits_on_the_board;
     Serial3r: a_redundant_arm_obeys_mechanics a_redundant_arm_keeps_four_digits_on_the_board;
+    Paddles2: two_paddles_obey_mechanics two_paddles_keep_four_digits_on_the_board;
+    Paddles3: three_paddles_obey_mechanics three_paddles_keep_four_digits_on_the_board;
+    Chain1: a_chain_of_one_obeys_mechanics a_chain_of_one_keeps_four_digits_on_the_board;
+    Chain2: a_chain_of_two_obeys_mechanics a_chain_of_two_keeps_four_digits_on_the_board;
+    Chain3: a_chain_of_three_obeys_mechanics a_chain_of_three_keeps_four_digits_on_the_board;
 }
 
 #[test]
 fn every_mechanism_has_its_line() {
-    assert_eq!(Kind::ALL.len(), 5, "a new mechanism needs its line in `properties!`");
+    assert_eq!(Kind::ALL.len(), 10, "a new mechanism needs its line in `properties!`");
 }

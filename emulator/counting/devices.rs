@@ -3,10 +3,11 @@
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link, MAX_MODES};
+use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link, MAX_MODES};
 
 const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
-    Link { mass, com, inertia, inertia_axial, inertia_transverse }
+    let (com_across, inertia_products) = ([0.0; 2], [0.0; 3]);
+    Link { mass, com, com_across, inertia, inertia_axial, inertia_transverse, inertia_products }
 }
 
 const NO_LINK: Link = link(0.0, 0.0, 0.0, 0.0, 0.0);
@@ -17,6 +18,8 @@ const fn joint(inertia: f64, viscous: f64, coulomb: f64, counts_per_turn: f64) -
 }
 
 const NO_JOINT: Joint = Joint {
+    prismatic: false,
+    frame: JointFrame::SAME,
     inertia: 0.0,
     viscous: 0.0,
     coulomb: 0.0,
@@ -34,7 +37,7 @@ const NO_JOINT: Joint = Joint {
 pub const PADDLE: Description = Description {
     kind: Kind::Paddle,
     gravity: [0.0; 3],
-    geometry: [0.07, 0.0, 0.0, 0.0, 0.0, 0.0],
+    geometry: [0.07, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     links: [NO_LINK; MAX_LINKS],
     joints: [joint(0.0008, 0.0008, 0.004, 60_000.0), NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
@@ -45,7 +48,7 @@ pub const PADDLE: Description = Description {
 pub const FIVE_BAR: Description = Description {
     kind: Kind::FiveBar,
     gravity: [0.0; 3],
-    geometry: [0.038, 0.07, 0.07, 0.09, 0.09, 1.0],
+    geometry: [0.038, 0.07, 0.07, 0.09, 0.09, 1.0, 0.0, 0.0],
     links: [
         link(0.018, 0.03, 9.0e-6, 0.0, 9.0e-6),
         link(0.018, 0.03, 9.0e-6, 0.0, 9.0e-6),
@@ -61,7 +64,7 @@ pub const FIVE_BAR: Description = Description {
 pub const FIVE_BAR_TURRET: Description = Description {
     kind: Kind::FiveBarTurret,
     gravity: [0.0, 0.0, -9.81],
-    geometry: [0.04, 0.09, 0.085, 0.12, 0.125, 1.0],
+    geometry: [0.04, 0.09, 0.085, 0.12, 0.125, 1.0, 0.0, 0.0],
     links: [
         link(0.04, 0.035, 3.0e-5, 3.0e-6, 2.8e-5),
         link(0.038, 0.034, 2.7e-5, 2.8e-6, 2.5e-5),
@@ -81,7 +84,7 @@ pub const FIVE_BAR_TURRET: Description = Description {
 pub const PARALLELOGRAM: Description = Description {
     kind: Kind::Parallelogram,
     gravity: [0.0, -9.80665, 0.0],
-    geometry: [0.20955, 0.169545, 0.03175, 0.0, 0.0, 0.0],
+    geometry: [0.20955, 0.169545, 0.03175, 0.0, 0.0, 0.0, 0.0, 0.0],
     links: [
         link(0.26784, -0.03518875, 0.00091667, 0.0001133, 0.00082222),
         link(0.02622, 0.05237892, 6.029e-5, 5.7e-7, 6.004e-5),
@@ -101,7 +104,7 @@ pub const PARALLELOGRAM: Description = Description {
 pub const SERIAL_3R: Description = Description {
     kind: Kind::Serial3r,
     gravity: [0.0, -9.81, 0.0],
-    geometry: [0.15, 0.12, 0.08, 0.0, 0.0, 0.0],
+    geometry: [0.15, 0.12, 0.08, 0.0, 0.0, 0.0, 0.0, 0.0],
     links: [
         link(0.1, 0.07, 0.0002, 0.0, 0.0002),
         link(0.07, 0.06, 9.0e-5, 0.0, 9.0e-5),

@@ -121,9 +121,14 @@ pub struct JointFrame {
     pub axis: [f64; 3],
 }
 
+impl JointFrame {
+    /// The frame of the link before, with its z axis as the joint's axis.
+    pub const SAME: Self = Self { origin: [0.0; 3], rpy: [0.0; 3], axis: [0.0, 0.0, 1.0] };
+}
+
 impl Default for JointFrame {
     fn default() -> Self {
-        Self { origin: [0.0; 3], rpy: [0.0; 3], axis: [0.0, 0.0, 1.0] }
+        Self::SAME
     }
 }
 

@@ -7,15 +7,45 @@
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
-/// A rigid body: mass, position of the centre of mass, principal axes (columns), and the inertia about each axis.
+/// A rigid body: mass, position of the centre of mass, axes (columns), and the inertia tensor along these axes.
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
     mass: f64,
     com: Vector3<f64>,
     axes: Matrix3<f64>,
-    inertia: Vector3<f64>,
+    inertia: Matrix3<f64>,
+}
+
+fn point_mass(mass: f64, com: Vector3<f64>) -> Body {
+    Body { mass, com, axes: Matrix3::identity(), inertia: Matrix3::zeros() }
+}
+
+/// Returns the links of a chain, the handle, and the position of the tip along the task's coordinates.
+fn place_chain(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
+    let (mut frame, mut origin, mut bodies) = (Matrix3::identity(), Vector3::zeros(), Vec::new());
+    for ((joint, link), q) in device.joints.iter().zip(&device.links).zip(q) {
+        origin += frame * Vector3::from(joint.frame.origin);
+        let [roll, pitch, yaw] = joint.frame.rpy;
+        frame *= Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+        let axis = Vector3::from(joint.frame.axis).normalize();
+        if joint.prismatic {
+            origin += frame * axis * *q;
+        } else {
+            frame *= Rotation3::new(axis * *q).matrix();
+        }
+        let com = origin + frame * Vector3::from(link.com_vector());
+        bodies.push(Body { mass: link.mass, com, axes: frame, inertia: link.tensor() });
+    }
+    let tip = Vector3::new(device.geometry[0], device.geometry[1], device.geometry[2]);
+    let place = origin + frame * tip;
+    bodies.push(point_mass(device.handle_mass, place));
+    let mut task = Vector3::zeros();
+    for (entry, coordinate) in task.iter_mut().zip(&device.geometry[3..]).take(q.len()) {
+        *entry = place[*coordinate as usize];
+    }
+    (bodies, task)
 }
 
 /// Returns the bodies of a device at joint angles `q` and its task position (φ last on the redundant arm).
@@ -28,7 +58,19 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
     };
     let mut phi = 0.0;
     let (links, tip) = match device.kind {
-        Kind::Paddle => return (Vec::new(), Vector3::new(g[0] * q[0], 0.0, 0.0)),
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => return place_chain(device, q),
+        Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => {
+            let mut tip = Vector3::zeros();
+            tip.iter_mut().zip(q).zip(&g).for_each(|((arc, q), length)| *arc = length * q);
+            let handles = q.iter().zip(&device.links).map(|(q, link)| Body {
+                mass: link.mass,
+                com: along(*q).push(0.0) * link.com,
+                axes: *Rotation3::from_axis_angle(&Vector3::z_axis(), *q).matrix(),
+                inertia: link.tensor(),
+            });
+            let point = along(q[0]).push(0.0) * g[0];
+            return (handles.chain(std::iter::once(point_mass(device.handle_mass, point))).collect(), tip);
+        }
         Kind::FiveBar | Kind::FiveBarTurret => {
             let (a, b) = (Vector2::new(-g[0] / 2.0, 0.0), Vector2::new(g[0] / 2.0, 0.0));
             let (c, d) = (a + along(arms[0]) * g[1], b + along(arms[1]) * g[2]);
@@ -72,15 +114,10 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
             mass: link.mass,
             com: world(from + direction * link.com),
             axes: plane * Matrix3::new(direction.x, -direction.y, 0.0, direction.y, direction.x, 0.0, 0.0, 0.0, 1.0),
-            inertia: Vector3::new(link.inertia_axial, link.inertia_transverse, link.inertia),
+            inertia: link.tensor(),
         })
         .collect();
-    bodies.push(Body {
-        mass: device.handle_mass,
-        com: world(tip),
-        axes: Matrix3::identity(),
-        inertia: Vector3::zeros(),
-    });
+    bodies.push(point_mass(device.handle_mass, world(tip)));
     let task = if device.kind == Kind::Serial3r { Vector3::new(tip.x, tip.y, phi) } else { world(tip) };
     (bodies, task)
 }
@@ -127,12 +164,9 @@ pub fn dynamics(device: &Description, q: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
             for j in 0..n {
                 let (vj, wj) = rates[j][k];
                 let (wi, wj) = (body.axes.tr_mul(&wi), body.axes.tr_mul(&wj));
-                mass[i][j] += body.mass * vi.dot(&vj) + body.inertia.dot(&wi.component_mul(&wj));
+                mass[i][j] += body.mass * vi.dot(&vj) + wi.dot(&(body.inertia * wj));
             }
         }
-    }
-    if device.kind == Kind::Paddle {
-        mass[0][0] += device.handle_mass * device.geometry[0] * device.geometry[0];
     }
     (mass, weight)
 }

@@ -2,7 +2,7 @@
 //! tool/tests/quick/golden_model.rs compares it with the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Transmission};
+use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, JointFrame, Link, Transmission};
 use haptic_bridge::model::motor::Motor;
 use toml::{Table, Value};
 
@@ -14,9 +14,10 @@ pub fn shipped_device(name: &str) -> Description {
 /// Reads a device from the text of a file. Panics at an unknown key.
 pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
-    assert_known_keys(&file, &["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
-    let mechanism = file["mechanism"].as_str();
-    let kind = *Kind::ALL.iter().find(|kind| Some(kind.spec().name) == mechanism).expect("a mechanism");
+    assert_known_keys(&file, &["name", "mechanism", "gravity", "supply", "geometry", "link", "joint", "handle", "home"]);
+    let (mechanism, joints) = (file["mechanism"].as_str(), tables(&file, "joint").count());
+    let is_kind = |kind: &&Kind| Some(kind.spec().name) == mechanism && kind.spec().joints == joints;
+    let kind = *Kind::ALL.iter().find(is_kind).expect("a mechanism");
     let keys: Vec<&str> = kind.spec().geometry.iter().map(|(key, _)| *key).collect();
     let geometry = file["geometry"].as_table().expect("a table");
     assert_known_keys(geometry, &keys);
@@ -24,7 +25,7 @@ pub fn parse(text: &str) -> Description {
     Description {
         kind,
         gravity: to_array(numbers(&file["gravity"])),
-        geometry: to_array(keys.iter().flat_map(|key| numbers(&geometry[*key]))),
+        geometry: to_array(keys.iter().flat_map(|key| coordinates(&geometry[*key]))),
         links: to_array(tables(&file, "link").map(link)),
         joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
@@ -34,15 +35,44 @@ pub fn parse(text: &str) -> Description {
 
 fn link(table: &Table) -> Link {
     assert_known_keys(table, &["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
-    let [mass, com, inertia] = ["mass", "com", "inertia"].map(|key| number(table, key).expect(key));
-    let inertia_transverse = number(table, "inertia_transverse").unwrap_or(inertia);
-    Link { mass, com, inertia, inertia_axial: number(table, "inertia_axial").unwrap_or(0.0), inertia_transverse }
+    let all = |key: &str| table.get(key).map_or(Vec::new(), |value| numbers(value).collect());
+    let mass = number(table, "mass").expect("a mass");
+    match (&all("com")[..], &all("inertia")[..]) {
+        (&[x, y, z], &[ixx, iyy, izz, ixy, ixz, iyz]) => Link {
+            mass,
+            com: x,
+            com_across: [y, z],
+            inertia: izz,
+            inertia_axial: ixx,
+            inertia_transverse: iyy,
+            inertia_products: [ixy, ixz, iyz],
+        },
+        (com, inertia) => {
+            let [com, inertia] = [com, inertia].map(|values| values.first().copied().unwrap_or(0.0));
+            let inertia_transverse = number(table, "inertia_transverse").unwrap_or(inertia);
+            let inertia_axial = number(table, "inertia_axial").unwrap_or(0.0);
+            Link { mass, com, inertia, inertia_axial, inertia_transverse, ..Link::default() }
+        }
+    }
+}
+
+fn frame(table: &Table) -> JointFrame {
+    let vector = |key: &str, default| table.get(key).map_or(default, |value| to_array(numbers(value)));
+    let frame = JointFrame::default();
+    JointFrame {
+        origin: vector("origin", frame.origin),
+        rpy: vector("rpy", frame.rpy),
+        axis: vector("axis", frame.axis),
+    }
 }
 
 fn joint(table: &Table) -> Joint {
-    assert_known_keys(table, &["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"]);
+    let of_all = ["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"];
+    assert_known_keys(table, &[&of_all[..], &["type", "origin", "rpy", "axis"]].concat());
     let limits: Option<Vec<f64>> = table.get("limits").map(|limits| numbers(limits).collect());
     Joint {
+        prismatic: table.get("type").is_some_and(|kind| kind.as_str() == Some("prismatic")),
+        frame: frame(table),
         inertia: number(table, "inertia").expect("an inertia"),
         viscous: number(table, "viscous").unwrap_or(0.0),
         coulomb: number(table, "coulomb").unwrap_or(0.0),
@@ -66,15 +96,20 @@ fn transmission(table: &Table, joint: &Table) -> Transmission {
 }
 
 fn encoder(table: &Table) -> Encoder {
-    assert_known_keys(table, &["counts_per_turn", "offset", "inverted"]);
-    let [counts_per_turn, offset] = ["counts_per_turn", "offset"].map(|key| number(table, key).expect(key));
-    Encoder { counts_per_turn, offset, inverted: table["inverted"].as_bool().expect("a flag") }
+    assert_known_keys(table, &["counts_per_turn", "counts_per_metre", "offset", "inverted"]);
+    let counts_per_metre = number(table, "counts_per_metre").map(|counts| counts * std::f64::consts::TAU);
+    Encoder {
+        counts_per_turn: number(table, "counts_per_turn").or(counts_per_metre).expect("counts"),
+        offset: number(table, "offset").unwrap_or(0.0),
+        inverted: table.get("inverted").is_some_and(|flag| flag.as_bool().expect("a flag")),
+    }
 }
 
 fn motor(table: &Table) -> Motor<f64> {
-    assert_known_keys(table, &["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
-    let [torque_constant, resistance, max_current] =
-        ["torque_constant", "resistance", "max_current"].map(|key| number(table, key).expect(key));
+    let keys = ["torque_constant", "force_constant"];
+    let torque_constant = keys.iter().find_map(|key| number(table, key)).expect("a torque constant");
+    assert_known_keys(table, &["torque_constant", "force_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    let [resistance, max_current] = ["resistance", "max_current"].map(|key| number(table, key).expect(key));
     Motor {
         torque_constant,
         resistance,
@@ -99,6 +134,13 @@ fn number(table: &Table, key: &str) -> Option<f64> {
 fn numbers(value: &Value) -> impl Iterator<Item = f64> {
     let list = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
     list.iter().map(|value| value.as_float().or(value.as_integer().map(|whole| whole as f64)).expect("a number"))
+}
+
+/// Returns the entries of a list of numbers or of task coordinates.
+fn coordinates(value: &Value) -> Vec<f64> {
+    let words = value.as_array().and_then(|list| list.iter().map(Value::as_str).collect::<Option<Vec<_>>>());
+    let place = |word: &str| ["x", "y", "z", "arc"].iter().position(|known| *known == word).expect("a coordinate") as f64;
+    words.map_or_else(|| numbers(value).collect(), |words| words.into_iter().map(place).collect())
 }
 
 fn tables<'a>(file: &'a Table, key: &str) -> impl Iterator<Item = &'a Table> {

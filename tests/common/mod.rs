@@ -5,7 +5,7 @@ pub mod device_file;
 
 use haptic_bridge::math::Real;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link};
 use haptic_bridge::render::scene::{FeedForward, Surface, Wall};
 use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
@@ -49,7 +49,7 @@ impl<'a> TestNumbers<'a> {
 }
 
 /// Number of random numbers that suffice for one device and one pose.
-pub const NUMBERS_PER_CASE: usize = 80;
+pub const NUMBERS_PER_CASE: usize = 140;
 
 /// Draws a link with possible inertias and a centre of mass between a counterweight and the far end.
 fn random_link(draw: &mut TestNumbers<'_>, length: f64) -> Link {
@@ -62,7 +62,19 @@ fn random_link(draw: &mut TestNumbers<'_>, length: f64) -> Link {
         inertia: squared(length) + squared(thick),
         inertia_axial: 2.0 * squared(thick),
         inertia_transverse: draw.uniform(0.8, 1.2) * (squared(length) + squared(thick)),
+        ..Link::default()
     }
+}
+
+/// Draws a link with any centre of mass and a possible inertia tensor.
+fn random_spatial_link(draw: &mut TestNumbers<'_>) -> Link {
+    let [x, y, z] = draw.list(-0.08, 0.08);
+    let mut link = Link { com: x, com_across: [y, z], ..Link::default() };
+    // A body of point masses.
+    for _ in 0..4 {
+        link.add_point(draw.log_uniform(0.002, 0.1), draw.list(-0.1, 0.1));
+    }
+    link
 }
 
 /// Draws a hand-sized device of this kind for which every term of the equations of motion matters.
@@ -72,7 +84,21 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
     let mut place = |index: usize, link: Link| links[index] = link;
     let length = |draw: &mut TestNumbers<'_>| draw.uniform(0.05, 0.25);
     match kind {
-        Kind::Paddle => geometry[0] = length(draw),
+        Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => {
+            for (i, arm) in geometry.iter_mut().enumerate().take(kind.spec().joints) {
+                *arm = length(draw);
+                place(i, Link { inertia_axial: 0.0, ..random_link(draw, *arm) });
+            }
+        }
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => {
+            geometry[..3].copy_from_slice(&draw.list::<3>(-0.15, 0.15));
+            // An even or odd permutation of the base's axes.
+            let (first, step) = (draw.uniform(0.0, 3.0).floor(), if draw.uniform(0.0, 1.0) < 0.5 { 1.0 } else { 2.0 });
+            for i in 0..3 {
+                geometry[3 + i] = (first + step * i as f64) % 3.0;
+                place(i, random_spatial_link(draw));
+            }
+        }
         Kind::FiveBar | Kind::FiveBarTurret => {
             geometry[0] = draw.uniform(0.0, 0.08);
             for i in 0..4 {
@@ -94,12 +120,18 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
             }
         }
     }
-    let gravity = if kind == Kind::Paddle { [0.0; 3] } else { draw.list(-10.0, 10.0) };
+    let mut gravity = draw.list(-10.0, 10.0);
+    gravity[kind.spec().gravity..].fill(0.0);
     let mut joints = [Joint::default(); MAX_JOINTS];
     for joint in &mut joints {
         joint.inertia = draw.log_uniform(1.0e-5, 1.0e-3);
+        if kind.spec().name == "chain" {
+            joint.frame = JointFrame { origin: draw.list(-0.1, 0.1), rpy: draw.list(-3.0, 3.0), axis: draw.list(-1.0, 1.0) };
+            joint.prismatic = draw.uniform(0.0, 1.0) < 0.25;
+        }
     }
-    Description { kind, gravity, geometry, links, joints, handle_mass: draw.log_uniform(1.0e-3, 0.3), home: None }
+    let handle_mass = if kind.spec().name == "paddles" { 0.0 } else { draw.log_uniform(1.0e-3, 0.3) };
+    Description { kind, gravity, geometry, links, joints, handle_mass, home: None }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

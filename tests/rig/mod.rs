@@ -98,7 +98,7 @@ pub fn five_bar() -> Description {
     Description {
         kind: Kind::FiveBar,
         gravity: [0.0; 3],
-        geometry: [0.05, 0.07, 0.07, 0.09, 0.09, 1.0],
+        geometry: [0.05, 0.07, 0.07, 0.09, 0.09, 1.0, 0.0, 0.0],
         links: [link; MAX_LINKS],
         joints: [joint, joint, Joint::default()],
         handle_mass: 0.01,

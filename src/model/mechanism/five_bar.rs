@@ -87,7 +87,7 @@ impl<T: Real> FiveBar<T> {
 
     /// Computes the coefficients of a description with the links of a five-bar, whose arms joints 0 and 1 drive.
     pub(super) fn lump(description: &Description) -> Result<Self, DescriptionError> {
-        let [base, l1, l2, r1, r2, assembly] = description.geometry;
+        let [base, l1, l2, r1, r2, assembly, ..] = description.geometry;
         for (index, length) in [l1, l2, r1, r2].into_iter().enumerate() {
             if length.is_nan() || length <= 0.0 {
                 return Err(DescriptionError::GeometryNotPositive(index + 1));

@@ -184,7 +184,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         }
         let [turret, arm1, arm2] = description.joints;
         let plane = FiveBar::lump(&Description { joints: [arm1, arm2, turret], ..*description })?;
-        let [_, l1, l2, r1, r2, _] = description.geometry;
+        let [_, l1, l2, r1, r2, ..] = description.geometry;
         let [p1, p2, d1, d2] = description.links;
         let side =
             |proximal: &crate::model::description::Link, distal: &crate::model::description::Link, l: f64, r: f64| {

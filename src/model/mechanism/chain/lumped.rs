@@ -84,9 +84,9 @@ fn bodies<const N: usize>(
         if i + 1 == N {
             link.add_point(description.handle_mass, (*tip).into());
         }
-        origin += frame * Vector3::from(joint.origin);
-        frame *= from_roll_pitch_yaw(joint.rpy);
-        let axis = unit_vector(&(frame * Vector3::from(joint.axis)));
+        origin += frame * Vector3::from(joint.frame.origin);
+        frame *= from_roll_pitch_yaw(joint.frame.rpy);
+        let axis = unit_vector(&(frame * Vector3::from(joint.frame.axis)));
         if axis.is_none() {
             error = Some(DescriptionError::Axis(i));
         }
@@ -134,6 +134,7 @@ fn joints<const N: usize>(bodies: &[Body; N]) -> [ChainJoint<f64>; MAX_JOINTS] {
             prismatic: body.prismatic,
             moment: body.frame.tr_mul(&moment).into(),
             mass: body.mass + later_mass,
+            turn: (0.0, 1.0),
             ..ChainJoint::default()
         };
         if i > 0 {
@@ -199,7 +200,7 @@ fn mass_series<const N: usize>(
             for (i, j) in (0..N).flat_map(|i| (0..=i).map(move |j| (i, j))) {
                 for (row, weight_b) in weights_b.iter().enumerate() {
                     for (column, weight_c) in weights_c.iter().enumerate() {
-                        coefficients[N - 1 - i][N - 1 - j][row][column] += weight_b * weight_c * mass[(i, j)];
+                        coefficients[N - 1 - j][N - 1 - i][row][column] += weight_b * weight_c * mass[(i, j)];
                     }
                 }
             }
