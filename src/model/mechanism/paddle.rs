@@ -17,6 +17,8 @@ pub struct Paddles<T, const N: usize> {
     inertias: [T; MAX_JOINTS],
     /// First moment of mass along each handle times gravity, N m.
     weights: [[T; 2]; MAX_JOINTS],
+    /// True if gravity acts on any paddle.
+    has_weight: bool,
 }
 
 /// One paddle.
@@ -31,7 +33,7 @@ pub type Paddles3<T> = Paddles<T, 3>;
 pub struct Pose<T: Real, const N: usize> {
     /// The handles' arc lengths, m.
     arcs: SVector<T, N>,
-    /// Sine and cosine of each angle.
+    /// Sine and cosine of each angle; unused without weight.
     directions: [(T, T); N],
 }
 
@@ -43,6 +45,7 @@ impl<T: Real, const N: usize> Paddles<T, N> {
             inverse_lengths: self.inverse_lengths.map(cast),
             inertias: self.inertias.map(cast),
             weights: self.weights.map(|weight| weight.map(cast)),
+            has_weight: self.has_weight,
         }
     }
 }
@@ -73,7 +76,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
             return Err(DescriptionError::WrongKind);
         }
         let zero = [T::zero(); MAX_JOINTS];
-        let mut paddles = Self { lengths: zero, inverse_lengths: zero, inertias: zero, weights: [[T::zero(); 2]; MAX_JOINTS] };
+        let mut paddles = Self {
+            lengths: zero,
+            inverse_lengths: zero,
+            inertias: zero,
+            weights: [[T::zero(); 2]; MAX_JOINTS],
+            has_weight: false,
+        };
         let [gx, gy, _] = description.gravity;
         for (i, (joint, link)) in description.joints.iter().zip(&description.links).enumerate().take(N) {
             let length = description.geometry[i];
@@ -89,6 +98,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
             paddles.inverse_lengths[i] = T::from_f64(1.0 / length);
             paddles.inertias[i] = T::from_f64(inertia);
             let moment = link.mass * link.com + handle * length;
+            paddles.has_weight |= moment * gx != 0.0 || moment * gy != 0.0;
             paddles.weights[i] = [T::from_f64(moment * gx), T::from_f64(moment * gy)];
         }
         Ok(paddles)
@@ -96,10 +106,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
 
     #[inline(always)]
     fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; N]) -> Pose<T, N> {
-        Pose {
-            arcs: SVector::from_fn(|i, _| self.lengths[i] * q[i].radians),
-            directions: q.map(|angle| K::sin_cos_of(angle)),
+        let mut directions = [(T::zero(), T::zero()); N];
+        if self.has_weight {
+            for (direction, angle) in directions.iter_mut().zip(q) {
+                *direction = K::sin_cos_of(*angle);
+            }
         }
+        Pose { arcs: SVector::from_fn(|i, _| self.lengths[i] * q[i].radians), directions }
     }
     #[inline(always)]
     fn tip(&self, pose: &Pose<T, N>) -> SVector<T, N> {

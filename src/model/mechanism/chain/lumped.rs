@@ -174,7 +174,7 @@ fn largest_determinant<const N: usize>(
         });
         let pose = chain.pose_at::<Libm>(&angles);
         largest = largest.max(pose.determinant.abs());
-        levers = levers.max(pose.lever.iter().map(norm).product());
+        levers = levers.max(pose.levers.iter().map(norm).product());
     }
     // Written so that NaN is an error.
     if largest > LEAST_DETERMINANT * levers { Ok(largest) } else { Err(DescriptionError::Task) }
