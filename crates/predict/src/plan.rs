@@ -209,7 +209,7 @@ fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
 /// Returns the instructions of the slowest control step of a scene, from counts for one wall, a pair of walls, a ball
 /// and no wall. Each additional wall adds the difference that a wall of its kind makes.
 pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
-    let name = device.mechanism.kind().spec().name;
+    let name = device.mechanism.kind().spec().label;
     let counted =
         |model: &str, terms: &str| counts::instructions(name, FIRMWARE_TRIGONOMETRY, model, terms).unwrap_or(0);
     let free = counted("exact", "free");

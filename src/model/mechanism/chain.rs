@@ -414,6 +414,11 @@ impl<T: Real, const N: usize> Chain<T, N> {
 impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     const SPEC: Spec = Spec {
         name: "chain",
+        label: match N {
+            1 => "chain-1",
+            2 => "chain-2",
+            _ => "chain-3",
+        },
         joints: N,
         task: N,
         links: match N {
@@ -606,6 +611,14 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     fn velocity_torque(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
         let terms = self.mass_terms(pose);
         Self::coriolis_of(&terms, qd) - terms.mass * self.joint_acceleration(pose, qd)
+    }
+
+    fn repeats(&self, joint: usize) -> bool {
+        self.arc.is_none() && !self.is_prismatic(joint)
+    }
+
+    fn is_prismatic(&self, joint: usize) -> bool {
+        self.joints.get(joint).is_some_and(|joint| joint.prismatic)
     }
 
     fn shape(&self, q: &SVector<T, N>) -> [T; 2] {

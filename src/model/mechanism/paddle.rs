@@ -53,6 +53,11 @@ impl<T: Real, const N: usize> Paddles<T, N> {
 impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
     const SPEC: Spec = Spec {
         name: if N == 1 { "paddle" } else { "paddles" },
+        label: match N {
+            1 => "paddle",
+            2 => "paddles-2",
+            _ => "paddles-3",
+        },
         joints: N,
         task: N,
         links: match N {
@@ -163,6 +168,9 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
         let e = self.inverse(pose, n);
         let me = SVector::from_fn(|i, _| self.inertias[i] * e[i]);
         Shaping { e, me, w_rr: e.dot(&me) }
+    }
+    fn repeats(&self, _: usize) -> bool {
+        false
     }
     fn shape(&self, _: &SVector<T, N>) -> [T; 2] {
         [T::zero(); 2]

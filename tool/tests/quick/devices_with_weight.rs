@@ -90,7 +90,7 @@ fn every_template_runs_on_a_strict_board_without_falling() {
         // Homing again must succeed in the same pose.
         board.home().unwrap();
         board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
-        assert_stays_while_armed(&shared, &mut board, kind.spec().name);
+        assert_stays_while_armed(&shared, &mut board, kind.spec().label);
     }
 }
 
