@@ -54,11 +54,15 @@ pub type Chain3<T> = Chain<T, 3>;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 struct ChainJoint<T> {
     prismatic: bool,
+    /// 1 for a revolute joint, 0 for a prismatic one. Products with it cost less than branches.
+    turns: T,
+    /// 1 for a prismatic joint, 0 for a revolute one.
+    slides: T,
+    /// Mask of the binary angle: all bits of a revolute joint, none of a prismatic one.
+    angle_mask: u32,
     /// Angle from the joint's zero to the zero of its frame, rad and in binary. Zero in the first joint.
     offset: T,
     binary_offset: u32,
-    /// Sine and cosine of `offset`.
-    turn: (T, T),
     /// Cosine of the angle about x from the frame of the link before to the joint's frame. Unused in the first joint.
     cosine: T,
     /// Sine of the same angle.
@@ -170,12 +174,12 @@ impl<T: Real> ChainJoint<T> {
     #[inline(always)]
     fn motion<K: Math<T>>(&self, angle: Angle<T>) -> Motion<T> {
         let q = angle.radians;
-        if self.prismatic {
-            return Motion { q, lift: q, cosine: self.turn.1, sine: self.turn.0 };
-        }
-        let binary = angle.binary.map(|binary| BinaryAngle(binary.0.wrapping_add(self.binary_offset)));
-        let (sine, cosine) = K::sin_cos_of(Angle { radians: q + self.offset, binary });
-        Motion { q, lift: T::zero(), cosine, sine }
+        let turned = |binary: BinaryAngle| {
+            BinaryAngle((binary.0 & self.angle_mask).wrapping_add(self.binary_offset))
+        };
+        let radians = q * self.turns + self.offset;
+        let (sine, cosine) = K::sin_cos_of(Angle { radians, binary: angle.binary.map(turned) });
+        Motion { q, lift: q * self.slides, cosine, sine }
     }
 
     /// Returns a vector in the joint's frame in the frame of the link before.
@@ -193,17 +197,13 @@ impl<T: Real> ChainJoint<T> {
     /// Returns the velocity per unit velocity of the joint of a point in the joint's frame.
     #[inline(always)]
     fn lever(&self, point: &Vector3<T>) -> Vector3<T> {
-        if self.prismatic { Vector3::z() } else { Vector3::new(-point[1], point[0], T::zero()) }
+        Vector3::new(-self.turns * point[1], self.turns * point[0], self.slides)
     }
 
     /// Returns [`ChainJoint::lever`] in the frame of the link before.
     #[inline(always)]
     fn lever_before(&self, point: &Vector3<T>) -> Vector3<T> {
-        if self.prismatic {
-            self.axis_before()
-        } else {
-            Vector3::new(-point[1], self.cosine * point[0], self.sine * point[0])
-        }
+        self.before(&self.lever(point))
     }
 
     /// Returns a vector in the frame of the link before in the frame of the joint's link.
@@ -216,7 +216,7 @@ impl<T: Real> ChainJoint<T> {
     /// (kg m), against gravity (m/s²). Both are in the link's frame.
     #[inline(always)]
     fn weight(&self, moment: &Vector3<T>, gravity: &Vector3<T>) -> T {
-        if self.prismatic { -self.mass * gravity[2] } else { moment[1] * gravity[0] - moment[0] * gravity[1] }
+        self.turns * (moment[1] * gravity[0] - moment[0] * gravity[1]) - self.slides * self.mass * gravity[2]
     }
 
     /// Returns the first moment of mass of this link and all later links (kg m), of which `next` has the moment `later`.
@@ -231,15 +231,15 @@ impl<T: Real> ChainJoint<T> {
     /// the velocity `v`: `axis` × v qd.
     #[inline(always)]
     fn turning(&self, axis: &Vector3<T>, v: &Vector3<T>, qd: T) -> Vector3<T> {
-        if self.prismatic { Vector3::zeros() } else { axis.cross(&(v * qd)) }
+        axis.cross(&(v * (qd * self.turns)))
     }
 }
 
 impl<T: Real> Basis<T> {
     #[inline(always)]
-    fn new(prismatic: bool, motion: &Motion<T>) -> Self {
-        let (zero, one, c, s) = (T::zero(), T::one(), motion.cosine, motion.sine);
-        let (u, v, du, dv) = if prismatic { (motion.q, zero, one, zero) } else { (c, s, -s, c) };
+    fn new(joint: &ChainJoint<T>, motion: &Motion<T>) -> Self {
+        let (dv, v) = (joint.turns * motion.cosine, joint.turns * motion.sine);
+        let (u, du) = (dv + motion.lift, joint.slides - v);
         Self { u, v, uu: u * u, uv: u * v, slope: [du, dv, (u + u) * du, du * v + u * dv] }
     }
 
@@ -270,9 +270,11 @@ impl<T: Real, const N: usize> Chain<T, N> {
         Chain {
             joints: self.joints.map(|joint| ChainJoint {
                 prismatic: joint.prismatic,
+                turns: cast(joint.turns),
+                slides: cast(joint.slides),
+                angle_mask: joint.angle_mask,
                 offset: cast(joint.offset),
                 binary_offset: joint.binary_offset,
-                turn: (cast(joint.turn.0), cast(joint.turn.1)),
                 cosine: cast(joint.cosine),
                 sine: cast(joint.sine),
                 origin: joint.origin.map(cast),
@@ -301,7 +303,7 @@ impl<T: Real, const N: usize> Chain<T, N> {
     #[inline(always)]
     fn basis(&self, pose: &Pose<T, N>, back: usize) -> Basis<T> {
         let i = N - 1 - back;
-        Basis::new(self.joints[i].prismatic, &pose.motions[i])
+        Basis::new(&self.joints[i], &pose.motions[i])
     }
 
     /// Returns the mass matrix and its derivatives. A caller that needs only one of them pays only for that one.
