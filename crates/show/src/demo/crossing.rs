@@ -181,7 +181,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
-        ripple: ripple(&resting),
+        ripple: ripple_about_moving_mean(&resting),
         bounces: contact.windows(2).filter(|pair| pair[0] && !pair[1]).count(),
         moments,
         lost,
@@ -191,7 +191,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
 
 /// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
 /// the force are not ripple.
-pub(super) fn ripple(force: &[f64]) -> f64 {
+pub(super) fn ripple_about_moving_mean(force: &[f64]) -> f64 {
     const HALF_WINDOW: usize = 10;
     if force.len() <= 2 * HALF_WINDOW {
         return 0.0;

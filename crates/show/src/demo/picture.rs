@@ -6,7 +6,7 @@
 
 use super::Demo;
 use super::comparison::Comparison;
-use super::crossing::{Crossing, Moment, PHASES, ripple};
+use super::crossing::{Crossing, Moment, PHASES, ripple_about_moving_mean};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
@@ -44,7 +44,7 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
     });
     let ripples = phases.each_ref().map(|phase| {
         let settled = phase.len().saturating_sub((SETTLED_TIME * demo.rate_hz) as usize);
-        ripple(&phase[settled..].iter().map(|moment| moment.force).collect::<Vec<_>>())
+        ripple_about_moving_mean(&phase[settled..].iter().map(|moment| moment.force).collect::<Vec<_>>())
     });
     let mut canvas = Canvas::new(PICTURE_WIDTH, HEIGHT);
     canvas.write(format_args!("{STYLE}"));

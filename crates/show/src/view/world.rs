@@ -1,8 +1,7 @@
 //! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
-pub use crate::demo::crossing::hand_settings;
-use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, press};
+use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, hand_settings, press};
 use haptic_bridge::model::shipped::*;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::refusal::Refusal;
