@@ -304,7 +304,8 @@ impl Trace {
         stretches
     }
 
-    /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
+    /// Returns the verdict if the trend is clear. A rising trend counts as growth only if the motion is also `larger`
+    /// than before, because the beat of two modes rises too.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_significant((slope, error));
