@@ -240,7 +240,7 @@ fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = TestView::demo();
     view.wait_for_boundary();
     assert!(view.page(0).picture["buzz"].is_null(), "a stable wall must not buzz");
-    // With the hand in contact, which a page shows at 73 Hz.
+    // With the hand in contact, a page shows the buzz at 73 Hz.
     view.arm(0);
     let place = view.place_by_tip(-0.03, 0.0);
     view.send(0, json!({"do": "hand", "at": place}));

@@ -1,6 +1,6 @@
 //! The moving picture of the demo: a hand rests on the wall while the feed-forward is off, on and off again.
 //!
-//! The device is drawn in slow motion with its motion magnified, beside the wall's force. The motion is SMIL, which
+//! The device is drawn in slow motion with its motion magnified, next to the wall's force. The motion is SMIL, which
 //! browsers play in an `<img>` without scripts. A viewer without motion, or a reader who prefers less of it, sees the
 //! device at rest and the whole curve.
 
@@ -32,7 +32,7 @@ const COLOURS: [&str; 3] = [OFF_COLOUR, WASHOUT_COLOUR, OFF_COLOUR];
 const STYLE: &str = "<style>.moving{display:none}@media (prefers-reduced-motion:no-preference)\
     {.still{display:none}.moving{display:inline}}</style>";
 
-/// Draws the `moments` of [`switched`](crate::view::world::switched), with the comparison of two crossings in words.
+/// Draws the `moments` of [`press_while_switching`](crate::view::world::press_while_switching), with the comparison of two crossings in words.
 pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing) -> Picture {
     let begin = moments.first().map_or(0.0, |moment| moment.time);
     let mut until = 0.0;

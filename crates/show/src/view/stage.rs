@@ -515,7 +515,7 @@ impl Stage {
             }
             FromPage::Rate { hz } => {
                 let scene = self.board().scene()?.unwrap_or_default();
-                self.again(id, &Scene { rate_hz: hz, ..scene }, None);
+                self.recreate(id, &Scene { rate_hz: hz, ..scene }, None);
             }
             FromPage::Here {}
             | FromPage::Disarm {}
@@ -546,9 +546,9 @@ impl Stage {
     }
 
     /// Creates the simulated world again with another scene, in its first or another pose.
-    fn again(&mut self, id: PageId, scene: &Scene<f32>, pose: Option<Vec<f64>>) {
+    fn recreate(&mut self, id: PageId, scene: &Scene<f32>, pose: Option<Vec<f64>>) {
         let (first, start) = (Scene { rate_hz: scene.rate_hz, ..self.first.clone() }, self.start);
-        if self.reopen(id, self.world.again(scene, pose.map_or(start, |q| padded(&q)))) {
+        if self.reopen(id, self.world.recreate(scene, pose.map_or(start, |q| padded(&q)))) {
             (self.first, self.start) = (first, start);
         }
     }
@@ -561,7 +561,7 @@ impl Stage {
                 && TaskPose::of(&self.device.mechanism, q).is_ok()
         });
         if is_possible {
-            self.again(id, &self.first.clone(), pose);
+            self.recreate(id, &self.first.clone(), pose);
         } else {
             self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
         }

@@ -126,7 +126,7 @@ impl World {
     }
 
     /// Creates this simulated world again with another scene, in another pose (rad).
-    pub fn again(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
+    pub fn recreate(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
         let file = self.file.clone().ok_or_else(|| Failure::wrong("this device is not simulated"))?;
         let mut world = Self::start(file, Some(pose))?;
         world.board.set_scene(scene)?;
@@ -150,7 +150,7 @@ impl World {
 
 /// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
 /// and the moments of these [`PHASES`].
-pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
+pub fn press_while_switching() -> Result<(Demo, Vec<Moment>), Failure> {
     let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
         return Err(Failure::impossible("the demo is not simulated"));
     };
