@@ -10,7 +10,7 @@
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
-use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
@@ -199,10 +199,10 @@ pub fn probes_on_walls(
 }
 
 fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
-    let (points, range) = (max_grid_points(device), range(device, probes));
+    let (points, range) = (max_grid_points(device), shape_range(device, probes));
     let mut models = vec![PrecomputedModel::default(), frozen_model(device, probes)];
-    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
     models
 }
 

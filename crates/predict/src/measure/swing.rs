@@ -59,7 +59,7 @@ const DIED_OUT_SHARE: f64 = 0.02;
 /// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
-/// Judgement of a motion.
+/// Result of watching a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
     /// The motion decays at least to the size that encoder steps can cause.

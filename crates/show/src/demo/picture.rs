@@ -16,7 +16,7 @@ use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 
 const PICTURE_WIDTH: f64 = 760.0;
-const HEIGHT: f64 = 440.0;
+const PICTURE_HEIGHT: f64 = 440.0;
 /// Seconds of the picture per simulated second.
 const SLOW_MOTION_FACTOR: f64 = 12.0;
 /// Factor by which the device's motion is drawn larger than it is.
@@ -46,7 +46,7 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
         let settled = phase.len().saturating_sub((SETTLED_TIME * demo.rate_hz) as usize);
         ripple_about_moving_mean(&phase[settled..].iter().map(|moment| moment.force).collect::<Vec<_>>())
     });
-    let mut canvas = Canvas::new(PICTURE_WIDTH, HEIGHT);
+    let mut canvas = Canvas::new(PICTURE_WIDTH, PICTURE_HEIGHT);
     canvas.write(format_args!("{STYLE}"));
     canvas.text((24.0, 34.0), 19.0, Anchor::Start, false, "A hand presses on a virtual wall");
     let quieter = format!("with the feed-forward: {:.0} times quieter", ripples[0] / ripples[1]);
@@ -65,7 +65,7 @@ pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing
         "A simulated board runs the firmware's control code. Shown {SLOW_MOTION_FACTOR} times slower; motion into the wall {MAGNIFICATION} times larger."
     );
     for (line, text) in [wall, scale].iter().enumerate() {
-        canvas.text((24.0, HEIGHT - 32.0 + 16.0 * line as f64), SMALL_TEXT, Anchor::Start, false, text);
+        canvas.text((24.0, PICTURE_HEIGHT - 32.0 + 16.0 * line as f64), SMALL_TEXT, Anchor::Start, false, text);
     }
     let description = format!(
         "The wall's force ripples by {:.2} N rms without the feed-forward and by {:.2} N rms with it. When the hand of \

@@ -46,8 +46,8 @@ use walls::check_scene;
 
 /// Maximum number of events that one turn handles.
 const MAX_EVENTS: usize = 64;
-/// Longest age of the key press, by board steps and by page messages, before the motors go off. It is a heartbeat and a
-/// turn shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault.
+/// Longest age of the key press, by board steps and by page messages, before the motors go off. The board's own limit,
+/// [`haptic_bridge::control::KEY_SECONDS`], is longer by a heartbeat and a turn, and causes a fault.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
 /// Distance from the wall to which the simulated hand moves a tip before the motors go on, m.
 const EXIT_DISTANCE: f64 = 0.005;
