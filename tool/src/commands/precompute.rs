@@ -33,8 +33,8 @@ pub struct Args {
     /// Range of the two angles: lowest and highest of the first, then of the second, rad [default: the workspace]
     #[arg(long = "box", value_name = "A,B,C,D", allow_hyphen_values = true)]
     range: Option<Numbers>,
-    /// Write the result to this file (JSON: points, values and errors) for your own use. No command reads the file:
-    /// `haptic scene` computes itself what it sends to a board
+    /// Write the result to this file (JSON: points, values and errors) for your own use. No command reads the file,
+    /// because `haptic scene` computes the mass matrix for a board again
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
