@@ -304,10 +304,10 @@ fn angle_label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
         (8.0, Anchor::Start)
     };
     let below = if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 };
-    let right = frame.at.0 + frame.size.0;
+    let ends = (frame.at.0, frame.at.0 + frame.size.0);
     let at = |shift: f64, below: f64, anchor: Anchor| {
         let mut label = Label { text: text.clone(), at: (centre.0 + shift, centre.1 + below), anchor };
-        label.at.0 -= (label.area()[2] - right).max(0.0);
+        label.at.0 -= (label.area()[2] - ends.1).max(0.0) + (label.area()[0] - ends.0).min(0.0);
         label
     };
     let has_link = |label: &Label| {
