@@ -129,16 +129,15 @@ impl PlotArea {
         let bottom = top + height;
         let ticks = self.x.ticks(width / 75.0);
         // In a narrow frame only every second or third tick has its text.
-        let longest = ticks.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0);
-        let stride =
-            (ticks.len() as f64 * (0.6 * longest as f64 + 0.7) * TICK_TEXT_SIZE / width).ceil().max(1.0) as usize;
+        let longest = ticks.iter().map(|(_, text)| text.len()).max().unwrap_or(0);
+        let needed = ticks.len() as f64 * (0.6 * longest as f64 + 0.7) * TICK_TEXT_SIZE;
+        let stride = (needed / width).ceil().max(1.0) as usize;
         for (i, (value, text)) in ticks.into_iter().enumerate() {
             let (x, _) = self.pixel(value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            if i % stride != 0 {
-                continue;
+            if i % stride == 0 {
+                canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, &text);
             }
-            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, &text);
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {
