@@ -68,7 +68,7 @@ function notice(why, { of, again } = {}, good) {
 $("anyway").onclick = () => { const again = view.again; notice(""); say(again); };
 $("dismiss").onclick = () => notice("");
 // A notice about a completed action disappears by itself.
-function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
+function done(why) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 4000); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
 // With the key the page sends the step of the newest picture that it had when it saw the key: half a second after that

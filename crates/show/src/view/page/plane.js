@@ -161,7 +161,7 @@ function turn(event, last) {
   const r = $("plane").getBoundingClientRect();
   const [damping, stiffness] = view.planeFrame.from(event.clientX - r.left - turning.x, event.clientY - r.top - turning.y);
   // Keeps a refusal during the drag; only the gains at its end count.
-  if (last) notice("");
+  if (last && view.of === "gains") notice("");
   if (!view.again || last === undefined) sendGains({ damping, stiffness }, !last);
 }
 function offsetFromDot(event) {
@@ -173,7 +173,7 @@ $("plane").onpointerdown = event => {
   if (!view.planeFrame || !view.walls[view.wall]) return;
   const { x, y } = offsetFromDot(event);
   if (Math.hypot(x, y) > reach(event)) return;
-  $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; notice("");
+  $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; if (view.of === "gains") notice("");
 };
 $("plane").onpointermove = event => {
   if (turning) return turn(event, false);

@@ -238,9 +238,9 @@ $("stage").onpointerdown = event => {
   const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
   $("stage").setPointerCapture(event.pointerId);
   grabbed = { hand: true };
-  // The tip takes precedence over walls under it.
+  // Only a handle that is drawn moves its wall, and the tip takes precedence over it.
   const { tip } = view.last.geometry;
-  if (!(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
+  if (document.body.classList.contains("more") && !(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
     const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
     if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
     else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
