@@ -526,6 +526,18 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
     let shown =
         "[...document.querySelectorAll('button, select, input')].filter(e => e.offsetParent).map(e => e.id).join()";
     assert_eq!(browser.evaluate(&tab, shown), "choice,rate,start-over,more,ff,stiffness,damping");
+    // A wall has no handle in view, so that a pull beside the tip does not move it.
+    let handle = place_on(
+        &mut browser,
+        &tab,
+        "stage",
+        "view.frame.toX(wallHandle(view.walls[0])[0])",
+        "view.frame.toY(wallHandle(view.walls[0])[1])",
+    );
+    let wall = browser.evaluate(&tab, "window.then = view.last.time, JSON.stringify(view.walls[0].values)");
+    browser.drag(&tab, handle, (handle.0 - 80.0, handle.1 + 60.0));
+    browser.wait_until(&tab, "touched && view.last.time > then + .5");
+    assert_eq!(browser.evaluate(&tab, "JSON.stringify(view.walls[0].values)"), wall);
     // Somebody pulls the tip sideways instead of inwards, and flips the switch twice.
     let tip = place_on(
         &mut browser,
