@@ -34,7 +34,7 @@ function receive(message) {
 }
 function hello(message) {
   const name = [message.device, message.scene, message.simulated].join(), other = view.name !== name;
-  view.name = name; view.hello = message; view.trail = []; view.recent = []; view.box = view.fault = view.still = slow = null;
+  view.name = name; view.hello = message; view.trail = []; view.recent = []; view.box = view.fault = view.still = slow = null; view.pressedAt = view.missed = NaN;
   $("device").textContent = message.device;
   document.title = message.device + ": haptic view";
   $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", without its weight" : "") : message.board + " " + message.serial + " on " + message.port) +
