@@ -28,9 +28,9 @@ const GLOWS = 4e-4;
 function drawGlow(c, f, g) {
   const power = view.last.state === "Armed" ? view.last.numbers.power : 0;
   if (!(power > GLOWS) || paper) return;
-  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], light = c.createRadialGradient(x, y, 6, x, y, 90);
+  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], wide = Math.min(90, f.w / 6), light = c.createRadialGradient(x, y, 6, x, y, wide);
   light.addColorStop(0, palette.bad); light.addColorStop(1, "transparent");
-  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 90, 0, 2 * Math.PI); c.fill(); c.restore();
+  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, wide, 0, 2 * Math.PI); c.fill(); c.restore();
 }
 
 // ---- slow motion --------------------------------------------------------------------------------------------------
