@@ -155,15 +155,14 @@ impl<T: Real> Delta<T> {
         let area_squared = normal.dot(&normal);
         let inverse_area = inverse(area_squared, self.elbows_floor);
         // The circumcentre of c₀, c₁ and c₂ relative to c₀. The tip is on the normal through it.
-        let mut center = (side2 * side1.dot(&side1) - side1 * side2.dot(&side2)).cross(&normal)
-            * (T::from_f64(0.5) * inverse_area);
+        let mut center =
+            (side2 * side1.dot(&side1) - side1 * side2.dot(&side2)).cross(&normal) * (T::from_f64(0.5) * inverse_area);
         let height_squared = reach(&mut center);
         let height = self.assembly * K::sqrt(height_squared * inverse_area);
         let u0 = center + normal * height;
         let rod = [u0, u0 - side1, u0 - side2];
         let det = height * area_squared;
-        let k: [T; 3] =
-            core::array::from_fn(|i| rotated_left(&arm[i]).dot(&self.in_leg(i, &rod[i])));
+        let k: [T; 3] = core::array::from_fn(|i| rotated_left(&arm[i]).dot(&self.in_leg(i, &rod[i])));
         Pose {
             tip: c0 + u0,
             arm,
