@@ -185,6 +185,15 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     table.refuse_unknown_keys(&known);
     let mut flat = Vec::with_capacity(MAX_GEOMETRY);
     for (key, count) in spec.geometry {
+        let default: &[f64] = match *key {
+            "azimuth" => &[0.0, TAU / 3.0, 2.0 * TAU / 3.0],
+            "assembly" if spec.name == "delta" => &[1.0],
+            _ => &[],
+        };
+        if !default.is_empty() && !table.has(key) {
+            flat.extend(default);
+            continue;
+        }
         if *count == 1 {
             flat.push(table.required_number(key, Must::BeFinite, format!("{key} = 0.1")));
             continue;
@@ -208,6 +217,13 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
         let table = table.with_place(format!("[[link]] {index} ({name})"));
+        // A delta's rods are slender and uniform, and its platform does not turn.
+        if spec.name == "delta" && index > 0 {
+            table.refuse_unknown_keys(&["mass"]);
+            let mass = table.required_number("mass", Must::NotBeNegative, "mass = 0.02");
+            links[index] = Link { mass, ..Link::default() };
+            continue;
+        }
         table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
         let inertia = table.required_number("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
         links[index] = Link {
@@ -300,7 +316,7 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
 
 /// Returns true if the joint's `inertia` includes the body that the joint turns, as for a paddle or a turret.
 pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
-    joint == 0 && (spec.links.is_empty() || spec.task == 3)
+    joint == 0 && (spec.links.is_empty() || (spec.task == 3 && spec.name != "delta"))
 }
 
 /// Reads the transmission of a joint with this `inertia`, kg m². By default the motor has all of the inertia, except if
@@ -475,7 +491,7 @@ fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<
             geometry.error_at_element(key, element, impossible(reason, "write the length in metres"))
         }
         DescriptionError::Assembly => {
-            geometry.error_at("assembly", problem("write 1 if the tip is left of the line from C to D, otherwise -1"))
+            geometry.error_at("assembly", problem("write 1 or -1, the side of the tip (docs/model.md section 1)"))
         }
         DescriptionError::CannotClose => {
             geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))

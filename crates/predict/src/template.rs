@@ -116,6 +116,29 @@ fn example(kind: Kind) -> Example {
             ],
             home: "[0.3, 1.2, 0.8]",
         },
+        // Lengths and zero angles of a Falcon as libnifalcon's FalconGeometry.h has them: r, c, a and b + d + e, without
+        // the offsets s, f and of the rods' joints. Its counts per turn are 4 x 320 slots x 7.62. Masses and inertias
+        // are assumed.
+        Kind::Delta => Example {
+            about: "Falcon-like: three arms with a pair of rods each carry a platform that does not turn. Angle 0 points\n\
+                    # outwards, and angles grow towards +z, which points to the operator; y is up.",
+            gravity: "[0.0, -9.81, 0.0]      # x, y, z; y is up",
+            geometry: &[
+                ("base", "0.037", "from the z axis to every motor's axis"),
+                ("platform", "0.014", "from the platform's centre to the ends of the rods"),
+                ("upper", "0.06", "arm: motor to elbow"),
+                ("fore", "0.125", "rods: elbow to platform"),
+                ("azimuth", "[0.0, 2.0943951, 4.1887902]", "rad, of the legs about z; default these"),
+                ("assembly", "1", "1: tip on the side of (c1 - c0) x (c2 - c0), +z in this order; -1: other side"),
+            ],
+            links: &[(0.03, 0.03, 1.0e-5, FROM_MOTOR), (0.005, 0.0, 0.0, ""), (0.04, 0.0, 0.0, "")],
+            joints: &[
+                (5.0e-5, [-0.3, 1.4], "rotor times the ratio squared"),
+                (5.0e-5, [-0.3, 1.4], ""),
+                (5.0e-5, [-0.3, 1.4], ""),
+            ],
+            home: "[0.6108652, 0.6108652, 0.6108652]",
+        },
     }
 }
 
@@ -127,7 +150,7 @@ pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incr
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
-    let turret = spec.task == 3;
+    let turret = spec.task == 3 && kind != Kind::Delta;
     let mut text = format!(
         "# {about}\n\
          # Every number here is an example: replace it with your device's value. SI units throughout (m, kg, s, N, rad).\n\
@@ -149,6 +172,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     for (index, ((mass, com, inertia, from), name)) in example.links.iter().zip(spec.links).enumerate() {
         let first = index == 0;
         line(&format!("\n[[link]]  # {index}: {name}\nmass"), number(*mass), if first { "kg" } else { "" });
+        if from.is_empty() {
+            continue;
+        }
         line("com", number(*com), &format!("m, centre of mass {from}"));
         line(
             "inertia",

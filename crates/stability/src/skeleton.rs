@@ -1,9 +1,13 @@
 //! Links and joints of a mechanism in the plane of its linkage, for drawings.
 //!
-//! Joint 0 of a device on a turret turns this plane. The plane's x and y are those at joint 0 = 0.
+//! Joint 0 of a device on a turret turns this plane. The plane's x and y are those at joint 0 = 0. A delta is seen along
+//! its z axis.
 
+use haptic_bridge::math::FineTable;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{Delta, Mechanism};
+use nalgebra::Vector3;
 
 /// A point in the linkage's plane, m.
 pub type Point = (f64, f64);
@@ -52,6 +56,7 @@ impl Turret {
             Kind::FiveBarTurret => Some(Self::AboutX),
             Kind::Parallelogram => Some(Self::AboutY),
             Kind::Paddle | Kind::FiveBar | Kind::Serial3r => None,
+            Kind::Delta => None,
         }
     }
 }
@@ -86,6 +91,7 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
         Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
         Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
         Kind::Serial3r => Some(serial_arm(description, q)),
+        Kind::Delta => delta(description, q),
     }
 }
 
@@ -165,4 +171,29 @@ fn serial_arm(description: &Description, q: &[f64]) -> Skeleton {
         at = to;
     }
     Skeleton { bars, angles, base: vec![(0.0, 0.0)], letters: Vec::new(), tip: at }
+}
+
+/// Returns the legs and the platform as seen along z. A pair of rods is one bar.
+fn delta(description: &Description, q: &[f64]) -> Option<Skeleton> {
+    let mechanism = Delta::<f64>::new(description).ok()?;
+    let pose = mechanism.pose::<FineTable>(&Vector3::new(q[0], q[1], q[2]));
+    if mechanism.regularity(&pose).parallel == 0.0 {
+        return None;
+    }
+    let tip = mechanism.tip(&pose);
+    let tip = (tip[0], tip[1]);
+    let [base, platform, upper, fore, azimuths @ .., _] = description.geometry;
+    let (mut bars, mut motors) = (Vec::new(), Vec::new());
+    for (azimuth, q) in azimuths.into_iter().zip(q) {
+        let motor = point_at((0.0, 0.0), base, azimuth);
+        let elbow = point_at(motor, upper * q.cos(), azimuth);
+        let end = point_at(tip, platform, azimuth);
+        bars.extend([
+            Bar { name: "arm", from: motor, to: elbow, length: upper },
+            Bar { name: "rod", from: elbow, to: end, length: fore },
+            Bar { name: "platform", from: end, to: tip, length: platform },
+        ]);
+        motors.push(motor);
+    }
+    Some(Skeleton { bars, angles: Vec::new(), base: motors, letters: Vec::new(), tip })
 }

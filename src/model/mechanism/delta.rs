@@ -38,11 +38,11 @@ pub struct Delta<T> {
     /// Smallest |kᵢ| used as a divisor, m².
     leg_floor: T,
     /// 1/F³, 1/m³: converts det S to the sine of the solid angle between the rods.
-    rods_scale: T,
+    volume_scale: T,
     /// Smallest |det S| used as a divisor, m³.
-    rods_floor: T,
+    volume_floor: T,
     /// Smallest |(c₁ - c₀) x (c₂ - c₀)|² used as a divisor, m⁴.
-    elbows_floor: T,
+    triangle_floor: T,
     /// Inertia of rotor, arm and the rods' α U² about each motor, kg m².
     arm_inertia: [T; 3],
     /// The rods' β, kg.
@@ -103,9 +103,9 @@ impl<T: Real> Delta<T> {
             assembly: cast(self.assembly),
             leg_scale: cast(self.leg_scale),
             leg_floor: cast(self.leg_floor),
-            rods_scale: cast(self.rods_scale),
-            rods_floor: cast(self.rods_floor),
-            elbows_floor: cast(self.elbows_floor),
+            volume_scale: cast(self.volume_scale),
+            volume_floor: cast(self.volume_floor),
+            triangle_floor: cast(self.triangle_floor),
             arm_inertia: self.arm_inertia.map(cast),
             rod_coupling: cast(self.rod_coupling),
             tip_mass: cast(self.tip_mass),
@@ -153,7 +153,7 @@ impl<T: Real> Delta<T> {
         let (side1, side2) = (elbow(1) - c0, elbow(2) - c0);
         let normal = side1.cross(&side2);
         let area_squared = normal.dot(&normal);
-        let inverse_area = inverse(area_squared, self.elbows_floor);
+        let inverse_area = inverse(area_squared, self.triangle_floor);
         // The circumcentre of c₀, c₁ and c₂ relative to c₀. The tip is on the normal through it.
         let mut center =
             (side2 * side1.dot(&side1) - side1 * side2.dot(&side2)).cross(&normal) * (T::from_f64(0.5) * inverse_area);
@@ -170,8 +170,8 @@ impl<T: Real> Delta<T> {
             across: [rod[1].cross(&rod[2]), rod[2].cross(&rod[0]), rod[0].cross(&rod[1])],
             k,
             inverse_k: k.map(|k| inverse(k, self.leg_floor)),
-            inverse_det: inverse(det, self.rods_floor),
-            parallel: (det * self.rods_scale).abs(),
+            inverse_det: inverse(det, self.volume_floor),
+            parallel: (det * self.volume_scale).abs(),
         }
     }
 
@@ -288,9 +288,9 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
             assembly: T::from_f64(assembly),
             leg_scale: T::from_f64(1.0 / (upper * fore)),
             leg_floor: T::from_f64(SINE_FLOOR * upper * fore),
-            rods_scale: T::from_f64(1.0 / (fore * fore * fore)),
-            rods_floor: T::from_f64(SINE_FLOOR * fore * fore * fore),
-            elbows_floor: T::from_f64(SINE_FLOOR * SINE_FLOOR * fore * fore * fore * fore),
+            volume_scale: T::from_f64(1.0 / (fore * fore * fore)),
+            volume_floor: T::from_f64(SINE_FLOOR * fore * fore * fore),
+            triangle_floor: T::from_f64(SINE_FLOOR * SINE_FLOOR * fore * fore * fore * fore),
             arm_inertia: reals(arm_inertia),
             rod_coupling: T::from_f64(rod.mass / 3.0),
             tip_mass: T::from_f64(2.0 * rod.mass + point),

@@ -32,6 +32,7 @@ fn example_of(kind: Kind) -> &'static str {
         Kind::FiveBarTurret => shipped::FICTIVE_FIVE_BAR_TURRET,
         Kind::Parallelogram => shipped::PHANTOM_PREMIUM,
         Kind::Serial3r => shipped::SERIAL_3R,
+        Kind::Delta => shipped::FALCON_LIKE,
     }
 }
 

@@ -56,6 +56,7 @@ fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
         // The coupler has the length of the upper arm.
         Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
         Kind::Serial3r => &[&[0], &[1], &[2]],
+        Kind::Delta => &[&[], &[], &[0]],
     };
     of_each.get(entry).copied().unwrap_or_default()
 }
@@ -89,7 +90,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     for (key, count) in spec.geometry {
         for i in 0..*count {
             let at = entry + i;
-            if *key != "assembly" {
+            if !["assembly", "azimuth"].contains(key) {
                 let name = if *count > 1 { format!("{key}[{i}]") } else { (*key).to_string() };
                 let kind = description.kind;
                 let stretched = links_of(kind, at);

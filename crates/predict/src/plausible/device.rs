@@ -94,10 +94,10 @@ fn longest_length(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
 
-/// Returns the lengths of the geometry with their keys, without the sign `assembly`.
+/// Returns the lengths of the geometry with their keys, without `assembly` and `azimuth`.
 fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
     let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
-    keys.zip(description.geometry).filter(|(key, _)| *key != "assembly")
+    keys.zip(description.geometry).filter(|(key, _)| !["assembly", "azimuth"].contains(key))
 }
 
 fn length_warnings(description: &Description) -> Vec<FileWarning> {
