@@ -334,9 +334,9 @@ fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
 fn unit(coefficient: &str) -> &'static str {
     let name = coefficient.trim_start_matches("plane.").split('.').next().unwrap_or_default();
     match name {
-        "length" | "lengths" | "base" | "proximal" | "axis_floor" | "offset" | "upper" | "fore" => "m",
+        "length" | "lengths" | "base" | "proximal" | "axis_floor" | "offset" | "upper" => "m",
         "inverse_length" | "inverse_lengths" | "reach_scale" => "1/m",
-        "reach" | "distal_difference" | "elbow_floor" | "rods_floor" | "leg_floor" => "m²",
+        "reach" | "distal_difference" | "elbow_floor" | "rods_floor" | "leg_floor" | "fore_squared" => "m²",
         "elbow_scale" | "rods_scale" | "leg_scale" => "1/m²",
         "volume_floor" => "m³",
         "volume_scale" => "1/m³",

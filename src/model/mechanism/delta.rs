@@ -27,8 +27,8 @@ pub struct Delta<T> {
     offset: T,
     /// U, m.
     upper: T,
-    /// F, m.
-    fore: T,
+    /// F², m².
+    fore_squared: T,
     /// cos αᵢ and sin αᵢ.
     azimuths: [[T; 2]; 3],
     /// Assembly mode, ±1.
@@ -64,8 +64,8 @@ pub struct Pose<T: Real> {
     arm: [Vector2<T>; 3],
     /// uᵢ, m.
     rod: [Vector3<T>; 3],
-    /// uⱼ x uₖ, m²: the columns of S⁻¹ det S.
-    across: [Vector3<T>; 3],
+    /// The columns of J, m.
+    columns: [Vector3<T>; 3],
     /// kᵢ, m².
     k: [T; 3],
     /// 1/kᵢ, clamped.
@@ -82,8 +82,9 @@ struct UnitMotion<T: Real> {
     e: Vector3<T>,
     /// Part of M E that acts at the joints directly, Aᵢ eᵢ + β lᵢ·n, kg m. The rest of M E acts through the tip.
     momentum: Vector3<T>,
-    /// Wrr, kg, computed in task space without J: Λ = Γ 1 + Σ Aᵢ bᵢbᵢᵀ + β(bᵢlᵢᵀ + lᵢbᵢᵀ) with bᵢ = uᵢ/kᵢ.
-    w_rr: T,
+    /// The arms' part of the mass at the tip, kg, computed in task space without J: Λ = Γ 1 + Σ Aᵢ bᵢbᵢᵀ + β(bᵢlᵢᵀ +
+    /// lᵢbᵢᵀ) with bᵢ = uᵢ/kᵢ.
+    arms: T,
 }
 
 /// Returns `v` rotated left by 90°.
@@ -92,13 +93,19 @@ fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
+/// Returns uⱼ x uₖ: the columns of S⁻¹ det S.
+#[inline(always)]
+fn across<T: Real>(rod: &[Vector3<T>; 3]) -> [Vector3<T>; 3] {
+    [rod[1].cross(&rod[2]), rod[2].cross(&rod[0]), rod[0].cross(&rod[1])]
+}
+
 impl<T: Real> Delta<T> {
     /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Delta<U> {
         Delta {
             offset: cast(self.offset),
             upper: cast(self.upper),
-            fore: cast(self.fore),
+            fore_squared: cast(self.fore_squared),
             azimuths: self.azimuths.map(|azimuth| azimuth.map(cast)),
             assembly: cast(self.assembly),
             leg_scale: cast(self.leg_scale),
@@ -162,15 +169,17 @@ impl<T: Real> Delta<T> {
         let u0 = center + normal * height;
         let rod = [u0, u0 - side1, u0 - side2];
         let det = height * area_squared;
+        let inverse_det = inverse(det, self.volume_floor);
+        let across = across(&rod);
         let k: [T; 3] = core::array::from_fn(|i| rotated_left(&arm[i]).dot(&self.in_leg(i, &rod[i])));
         Pose {
             tip: c0 + u0,
             arm,
             rod,
-            across: [rod[1].cross(&rod[2]), rod[2].cross(&rod[0]), rod[0].cross(&rod[1])],
+            columns: core::array::from_fn(|i| across[i] * (k[i] * inverse_det)),
             k,
             inverse_k: k.map(|k| inverse(k, self.leg_floor)),
-            inverse_det: inverse(det, self.volume_floor),
+            inverse_det,
             parallel: (det * self.volume_scale).abs(),
         }
     }
@@ -231,7 +240,7 @@ impl<T: Real> Delta<T> {
         let e = self.inverse(pose, n);
         let with_tip = Vector3::from_fn(|i, _| self.rod_coupling * self.along_lever(pose, i, n));
         let momentum = Vector3::from_fn(|i, _| self.arm_inertia[i] * e[i]) + with_tip;
-        UnitMotion { e, momentum, w_rr: self.tip_mass * n.dot(n) + e.dot(&(momentum + with_tip)) }
+        UnitMotion { e, momentum, arms: e.dot(&(momentum + with_tip)) }
     }
 }
 
@@ -283,7 +292,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         Ok(Self {
             offset: T::from_f64(base - platform),
             upper: T::from_f64(upper),
-            fore: T::from_f64(fore),
+            fore_squared: T::from_f64(fore * fore),
             azimuths: pairs(&|s, c| [c, s]),
             assembly: T::from_f64(assembly),
             leg_scale: T::from_f64(1.0 / (upper * fore)),
@@ -305,9 +314,9 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         // to the distance F, where the rods lie in one plane and `parallel` is 0.
         self.close::<K>(q, reciprocal, |center| {
             let distance_squared = center.dot(center);
-            let height_squared = self.fore * self.fore - distance_squared;
+            let height_squared = self.fore_squared - distance_squared;
             if height_squared < T::zero() {
-                *center *= self.fore / K::sqrt(distance_squared);
+                *center *= K::sqrt(self.fore_squared / distance_squared);
             }
             height_squared.greater(T::zero())
         })
@@ -316,7 +325,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     /// Needs no clamps, because a pose with a zero divisor or without a root is not regular.
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, q: &[Angle<T>; 3], least: &Regularity<T>) -> Option<Pose<T>> {
-        let pose = self.close::<K>(q, |x, _| T::one() / x, |center| self.fore * self.fore - center.dot(center));
+        let pose = self.close::<K>(q, |x, _| T::one() / x, |center| self.fore_squared - center.dot(center));
         let is_regular = self.leg_sines(&pose).into_iter().all(|sine| sine >= least.serial);
         (is_regular && pose.parallel >= least.parallel).then_some(pose)
     }
@@ -333,8 +342,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     }
 
     fn jacobian(&self, pose: &Pose<T>) -> Matrix3<T> {
-        let column = |i: usize| pose.across[i] * (pose.k[i] * pose.inverse_det);
-        Matrix3::from_columns(&[column(0), column(1), column(2)])
+        Matrix3::from_columns(&pose.columns)
     }
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
@@ -348,7 +356,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
             right.set_row(i, &-jacobian.tr_mul(&rate).transpose());
             right[(i, i)] += rate.dot(&lever) - pose.arm[i].dot(&self.in_leg(i, &pose.rod[i])) * qd[i];
         }
-        Matrix3::from_columns(&pose.across) * right * pose.inverse_det
+        Matrix3::from_columns(&across(&pose.rod)) * right * pose.inverse_det
     }
 
     fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
@@ -367,8 +375,8 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         // The tip's acceleration while no joint accelerates, by the rigidity of the rods.
         let tip = self.velocity(pose, qd);
-        let along = |i: usize| pose.across[i] * self.constrained(pose, i, qd[i], &tip);
-        let a = (along(0) + along(1) + along(2)) * -pose.inverse_det;
+        let constrained = Vector3::from_fn(|i, _| self.constrained(pose, i, qd[i], &tip));
+        let a = Matrix3::from_columns(&across(&pose.rod)) * constrained * -pose.inverse_det;
         self.inertial_torque(pose, qd, &Vector3::zeros(), Some(&a))
     }
 
@@ -381,13 +389,12 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
 
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
-        Vector3::from_fn(|i, _| pose.across[i].dot(force) * (pose.k[i] * pose.inverse_det))
+        Vector3::from_fn(|i, _| pose.columns[i].dot(force))
     }
 
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let along = |i: usize| pose.across[i] * (pose.k[i] * pose.inverse_det * qd[i]);
-        along(0) + along(1) + along(2)
+        pose.columns[0] * qd[0] + pose.columns[1] * qd[1] + pose.columns[2] * qd[2]
     }
 
     #[inline(always)]
@@ -397,16 +404,16 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
 
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
-        let UnitMotion { e, momentum, w_rr } = self.unit_motion(pose, n);
+        let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
         let at_tip = n * self.tip_mass + self.rod_force(pose, None, &e);
-        Shaping { e, me: momentum + self.transpose(pose, &at_tip), w_rr }
+        Shaping { e, me: momentum + self.transpose(pose, &at_tip), w_rr: self.tip_mass * n.dot(n) + arms }
     }
 
     #[inline(always)]
     fn shaped_torque(&self, pose: &Pose<T>, n: &Vector3<T>, force: T, qd: Option<&Vector3<T>>) -> ShapedTorque<T, 3> {
-        let UnitMotion { e, momentum, w_rr } = self.unit_motion(pose, n);
+        let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
         // Acceleration of the tip along n.
-        let s = force / w_rr;
+        let s = force / (self.tip_mass + arms);
         let (mut qdd, mut at_joints) = (e * s, momentum * s);
         if let Some(qd) = qd {
             // At these velocities, the joints must accelerate to keep the tip without acceleration.
@@ -427,9 +434,9 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         qd: &Vector3<T>,
         turning: &Vector3<T>,
     ) -> ShapedTorque<T, 3> {
-        let UnitMotion { e, w_rr, .. } = self.unit_motion(pose, n);
+        let UnitMotion { e, arms, .. } = self.unit_motion(pose, n);
         // Total acceleration of the tip.
-        let a = n * (force / w_rr) + turning;
+        let a = n * (force / (self.tip_mass + arms)) + turning;
         let qdd = self.joint_acceleration(pose, qd, &self.velocity(pose, qd), Some(&a));
         ShapedTorque { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
     }
