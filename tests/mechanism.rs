@@ -21,7 +21,7 @@ struct Gantry<T> {
 
 impl<T: Real> Mechanism<T, 2> for Gantry<T> {
     const SPEC: Spec =
-        Spec { name: "gantry", joints: 2, task: 2, links: &[], geometry: &[("lead", 2)], are_links_optional: false, gravity: 2 };
+        Spec { name: "gantry", label: "gantry", joints: 2, task: 2, links: &[], geometry: &[("lead", 2)], are_links_optional: false, gravity: 2 };
     const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1)];
     type Pose = [T; 2];
 

@@ -205,7 +205,7 @@ fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, scene) else { panic!() };
     controller.set_mass(mass.clone());
     let mut text = String::<96>::new();
-    for part in [M::SPEC.name, "/", K::NAME, "/"].iter().chain(rest) {
+    for part in [M::SPEC.label, "/", K::NAME, "/"].iter().chain(rest) {
         let _ = text.push_str(part);
     }
     set_name(&text);

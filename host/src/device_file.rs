@@ -12,14 +12,14 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Stribeck, StructuralMode,
-    Transmission,
+    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, JointFrame, Link, MAX_MODES, Stribeck,
+    StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::with_mechanism;
-use nalgebra::SVector;
+use nalgebra::{Matrix3, SVector};
 use std::path::{Path, PathBuf};
 
 /// A checked device file.
@@ -113,14 +113,9 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     }
     top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "supply"]);
     let name = top.keep(name(top), "");
-    let words: Vec<(&str, Kind)> = Kind::ALL.iter().map(|kind| (kind.spec().name, *kind)).collect();
-    let kind = top.require("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
+    let kind = kind(top)?;
     let spec = kind.spec();
-
-    let axes = ["x", "x, y", "x, y, z"][(spec.task - 1).min(2)];
-    let gravity = top.numbers("gravity", spec.task, Must::BeFinite, &format!("{axes} in m/s²"));
-    let example = format!("gravity = {:?}", vec![0.0; spec.task]);
-    let gravity = top.keep(gravity.and_then(|value| top.require("gravity", value, example)), Vec::new());
+    let gravity = top.keep(gravity(top, &spec), Vec::new());
 
     let supply = top.keep(top.number("supply", Must::BePositive), None);
     let table = top.table("geometry").and_then(|table| top.require("geometry", table, "[geometry]"));
@@ -166,6 +161,35 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     Ok((name.to_string(), description, mechanism, supply))
 }
 
+/// Reads the mechanism. Mechanisms of one name differ in the number of joints.
+fn kind(top: &Table<'_>) -> Result<Kind, FileError> {
+    let mut words: Vec<(&str, &str)> = Kind::ALL.iter().map(|kind| (kind.spec().name, kind.spec().name)).collect();
+    words.dedup();
+    let name = top.require("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
+    let joints = top.tables("joint")?.len();
+    let named = || Kind::ALL.iter().copied().filter(|kind| kind.spec().name == name);
+    // The error about a wrong number of joints is that of the smallest mechanism of the name.
+    Ok(named().find(|kind| kind.spec().joints == joints).or(named().next()).unwrap_or(Kind::Paddle))
+}
+
+/// Reads gravity, m/s². A paddle's gravity may also be the single number zero.
+fn gravity(top: &Table<'_>, spec: &Spec) -> Result<Vec<f64>, FileError> {
+    let single = spec.are_links_optional && top.count("gravity") == Some(1);
+    let count = if single { 1 } else { spec.gravity };
+    let axes = ["x", "x, y", "x, y, z"][(count - 1).min(2)];
+    let gravity = top.numbers("gravity", count, Must::BeFinite, &format!("{axes} in m/s²"));
+    let example = format!("gravity = {:?}", vec![0.0; count]);
+    let gravity = gravity.and_then(|value| match value {
+        None if spec.are_links_optional && spec.joints > 1 => Ok(vec![0.0; count]),
+        value => top.require("gravity", value, example),
+    })?;
+    if single && gravity != [0.0] {
+        let remedy = "write gravity = [x, y] in m/s², in the plane in which angle 0 is along x";
+        return Err(top.error_at("gravity", impossible("a paddle's gravity has two entries", remedy)));
+    }
+    Ok(gravity)
+}
+
 fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {
     let name = top.require("name", top.string("name")?, "name = \"my-device\"")?;
     if name.trim().is_empty() || name.chars().any(char::is_control) {
@@ -194,6 +218,10 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
             flat.extend(default);
             continue;
         }
+        if *key == "task" {
+            flat.extend(table.keep(task(table, *count), vec![f64::NAN; *count]));
+            continue;
+        }
         if *count == 1 {
             flat.push(table.required_number(key, Must::BeFinite, format!("{key} = 0.1")));
             continue;
@@ -206,8 +234,24 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     padded(&flat)
 }
 
+/// Reads the task coordinates of a chain, as values of [`Description::geometry`].
+fn task(table: &Table<'_>, count: usize) -> Result<Vec<f64>, FileError> {
+    let known = [("x", 0.0), ("y", 1.0), ("z", 2.0), ("arc", ARC)];
+    let example = ["task = [\"x\"]", "task = [\"x\", \"y\"]", "task = [\"x\", \"y\", \"z\"]"][(count - 1).min(2)];
+    let words = table.require("task", table.words("task", count, &known)?, example)?;
+    let twice = (1..count).find(|i| words[..*i].contains(&words[*i]));
+    if let Some(element) = twice {
+        let remedy = format!("write each of x, y and z at most once, such as {example}");
+        return Err(table.error_at_element("task", element, impossible("a task coordinate occurs twice", remedy)));
+    }
+    Ok(words)
+}
+
 fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     let tables = top.tables("link")?;
+    if spec.are_links_optional && tables.is_empty() {
+        return Ok(Default::default());
+    }
     let meaning = if spec.links.is_empty() {
         format!("a {} has no links: the joint's inertia includes its body", spec.name)
     } else {
@@ -224,6 +268,10 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
             links[index] = Link { mass, ..Link::default() };
             continue;
         }
+        if spec.name == "chain" {
+            links[index] = spatial_link(&table);
+            continue;
+        }
         table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
         let inertia = table.required_number("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
         links[index] = Link {
@@ -232,9 +280,44 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
             inertia,
             inertia_axial: table.number_or("inertia_axial", Must::NotBeNegative, 0.0),
             inertia_transverse: table.number_or("inertia_transverse", Must::NotBeNegative, inertia),
+            ..Link::default()
         };
     }
     Ok(links)
+}
+
+/// Reads a link of a chain.
+fn spatial_link(table: &Table<'_>) -> Link {
+    table.refuse_unknown_keys(&["mass", "com", "inertia"]);
+    let mass = table.required_number("mass", Must::NotBeNegative, "mass = 0.02");
+    let vector = |key: &str, count: usize, meaning: &str| {
+        let values = table.numbers(key, count, Must::BeFinite, meaning);
+        let example = format!("{key} = {:?}", vec![0.0; count]);
+        table.keep(values.and_then(|values| table.require(key, values, example)), vec![f64::NAN; count])
+    };
+    let com = vector("com", 3, "x, y, z in m, in the link's frame");
+    let inertia = vector("inertia", 6, "ixx, iyy, izz, ixy, ixz, iyz in kg m²");
+    let link = Link {
+        mass,
+        com: com[0],
+        com_across: [com[1], com[2]],
+        inertia_axial: inertia[0],
+        inertia_transverse: inertia[1],
+        inertia: inertia[2],
+        inertia_products: [inertia[3], inertia[4], inertia[5]],
+    };
+    // A body of points has a tensor with Σ m (r²/2 I - r rᵀ) positive semidefinite.
+    let tensor = link.tensor();
+    let spread = Matrix3::from_diagonal_element(0.5 * tensor.trace()) - tensor;
+    let largest = tensor.amax();
+    if spread.iter().all(|entry| entry.is_finite()) && spread.symmetric_eigenvalues().min() < -1e-6 * largest {
+        let reason = "no body has this inertia tensor: each principal inertia is at most the sum of the other two";
+        let remedy = "write ixx, iyy, izz, ixy, ixz, iyz about the centre of mass; a CAD program may print the products \
+                      with the other sign";
+        let result: Result<(), FileError> = Err(table.error_at("inertia", impossible(reason, remedy)));
+        table.keep(result, ());
+    }
+    link
 }
 
 /// Refuses a wrong number of `[[key]]` tables. The error is at the first surplus table, otherwise at the last table.
@@ -266,25 +349,21 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
     let mut joints = [Joint::default(); MAX_JOINTS];
     for ((index, table), joint) in tables.into_iter().enumerate().zip(&mut joints).take(spec.joints) {
         let place = format!("[[joint]] {index}");
-        *joint = joint_of(&table.with_place(place), includes_body_inertia(spec, index));
+        *joint = joint_of(&table.with_place(place), spec, index);
     }
     Ok(joints)
 }
 
-/// Reads a joint. `includes_body` is the result of [`includes_body_inertia`].
-fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
-    table.refuse_unknown_keys(&[
-        "inertia",
-        "viscous",
-        "coulomb",
-        "limits",
-        "encoder",
-        "motor",
-        "transmission",
-        "friction",
-        "cogging",
-        "mode",
-    ]);
+/// Reads joint `index` of a mechanism.
+fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
+    let is_chain = spec.name == "chain";
+    let of_chain = ["type", "origin", "rpy", "axis"];
+    let of_all =
+        ["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission", "friction", "cogging", "mode"];
+    table.refuse_unknown_keys(&[&of_all[..], if is_chain { &of_chain } else { &[] }].concat());
+    let types = [("revolute", false), ("prismatic", true)];
+    let prismatic = is_chain && table.keep(table.word("type", &types), None).unwrap_or(false);
+    let frame = if is_chain { joint_frame(table) } else { JointFrame::SAME };
     // Returns an optional table of the joint.
     let part = |key: &str| {
         let place = format!("[joint.{key}] of {}", table.place());
@@ -296,16 +375,18 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
         true => (table.keep(table.word("transmission", &[("rigid", true)]), None).is_some(), None),
         false => (false, part("transmission")),
     };
-    let transmission = transmission.map(|part| transmission_of(&part, inertia, includes_body));
+    let transmission = transmission.map(|part| transmission_of(&part, inertia, includes_body_inertia(spec, index)));
     let transmission = transmission.and_then(|found| table.keep(found.map(Some), None));
     let friction = part("friction").and_then(|part| table.keep(friction_of(&part, coulomb).map(Some), None));
     Joint {
+        prismatic,
+        frame,
         inertia,
         viscous: table.number_or("viscous", Must::NotBeNegative, 0.0),
         coulomb,
         limits: table.keep(limits(table), None),
-        encoder: part("encoder").map(|part| encoder_of(&part)),
-        motor: part("motor").map(|part| motor_of(&part)),
+        encoder: part("encoder").map(|part| encoder_of(&part, prismatic)),
+        motor: part("motor").map(|part| motor_of(&part, prismatic)),
         transmission,
         rigid,
         friction,
@@ -314,9 +395,27 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
     }
 }
 
+/// Reads place and axis of a chain's joint.
+fn joint_frame(table: &Table<'_>) -> JointFrame {
+    let vector = |key: &str, usual: [f64; 3], meaning: &str| {
+        let values = table.keep(table.numbers(key, 3, Must::BeFinite, meaning), None);
+        values.map_or(usual, |values| padded(&values))
+    };
+    let JointFrame { origin, rpy, axis } = JointFrame::SAME;
+    JointFrame {
+        origin: vector("origin", origin, "x, y, z in m, in the frame of the link before"),
+        rpy: vector("rpy", rpy, "roll, pitch, yaw in rad"),
+        axis: vector("axis", axis, "x, y, z of a direction in the joint's frame"),
+    }
+}
+
 /// Returns true if the joint's `inertia` includes the body that the joint turns, as for a paddle or a turret.
 pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
-    joint == 0 && (spec.links.is_empty() || (spec.task == 3 && spec.name != "delta"))
+    match spec.name {
+        "paddle" | "paddles" => true,
+        "five-bar-turret" | "parallelogram" => joint == 0,
+        _ => false,
+    }
 }
 
 /// Reads the transmission of a joint with this `inertia`, kg m². By default the motor has all of the inertia, except if
@@ -397,18 +496,26 @@ fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
     }
 }
 
-fn encoder_of(table: &Table<'_>) -> Encoder {
-    table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted"]);
+fn encoder_of(table: &Table<'_>, prismatic: bool) -> Encoder {
+    let (key, example, turn) = match prismatic {
+        true => ("counts_per_metre", "counts_per_metre = 40000", TAU),
+        false => ("counts_per_turn", "counts_per_turn = 16384", 1.0),
+    };
+    table.refuse_unknown_keys(&[key, "offset", "inverted"]);
     Encoder {
-        counts_per_turn: table.required_number("counts_per_turn", Must::BePositive, "counts_per_turn = 16384"),
+        counts_per_turn: turn * table.required_number(key, Must::BePositive, example),
         offset: table.number_or("offset", Must::BeFinite, 0.0),
         inverted: table.flag_or("inverted", false),
     }
 }
 
-fn motor_of(table: &Table<'_>) -> Motor<f64> {
-    table.refuse_unknown_keys(&["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
-    let torque_constant = table.required_number("torque_constant", Must::BePositive, "torque_constant = 0.05");
+fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
+    let (key, example) = match prismatic {
+        true => ("force_constant", "force_constant = 5.0"),
+        false => ("torque_constant", "torque_constant = 0.05"),
+    };
+    table.refuse_unknown_keys(&[key, "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    let torque_constant = table.required_number(key, Must::BePositive, example);
     Motor {
         torque_constant,
         resistance: table.required_number("resistance", Must::BePositive, "resistance = 2.0"),
@@ -496,9 +603,19 @@ fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<
         DescriptionError::CannotClose => {
             geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))
         }
-        DescriptionError::GravityNotZero => {
-            top.error_at("gravity", problem(&format!("write gravity = {:?}", vec![0.0; spec.task])))
-        }
+        DescriptionError::Axis(joint) => match top.tables("joint") {
+            Ok(joints) if joints.len() > joint => {
+                joints[joint].error_at("axis", problem("write axis = [0.0, 0.0, 1.0]"))
+            }
+            _ => top.error_here(problem("write axis = [0.0, 0.0, 1.0]")),
+        },
+        DescriptionError::Task => geometry.error_at(
+            "task",
+            problem(
+                "choose the coordinates along which the joints move the tip; \"arc\" is for \
+                one revolute joint",
+            ),
+        ),
         DescriptionError::NoInertia => match top.tables("joint") {
             Ok(joints) if !joints.is_empty() => {
                 joints[0].error_at("inertia", problem("write the reflected rotor inertia in kg m²"))

@@ -16,6 +16,13 @@ impl Axes {
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
         match kind {
             Kind::Paddle => Self([None, x, None]),
+            // The first paddle moves to the right, the second up and the third towards the operator.
+            Kind::Paddles2 => Self([None, x, y]),
+            Kind::Paddles3 => Self([z, x, y]),
+            // The file's own base frame, with as many of its axes as the task has.
+            Kind::Chain1 => Self([x, None, None]),
+            Kind::Chain2 => Self([x, y, None]),
+            Kind::Chain3 => Self([x, y, z]),
             Kind::FiveBar | Kind::Serial3r if has_weight => Self([None, x, y]),
             Kind::FiveBar | Kind::Serial3r => Self([y, back(x), None]),
             // The y axis is vertical, and the arm reaches along x towards the operator.

@@ -59,7 +59,7 @@ impl Entry {
     fn place(&self) -> String {
         match self.table {
             "" => self.key.clone(),
-            LUMPED => format!("lumped {}", self.key),
+            LUMPED_TABLE => format!("lumped {}", self.key),
             "[home]" | "[posture]" => format!("{} {}", self.table, self.key),
             table => format!("{table} {} {}", self.index, self.key),
         }
@@ -67,7 +67,7 @@ impl Entry {
 }
 
 /// Table of the coefficients of a device's equations of motion, which no device file contains.
-const LUMPED: &str = "[lumped]";
+const LUMPED_TABLE: &str = "[lumped]";
 
 /// A key whose values differ in two files.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -268,28 +268,35 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     at_share(low)
 }
 
-fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
+fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismatic: bool) {
+    let [travel, viscous, coulomb] = if prismatic { ["m", "N s/m", "N"] } else { ["rad", "N m s/rad", "N m"] };
     let mut into = table(entries, "[[joint]]", index);
-    into.number("viscous", joint.viscous.into(), "N m s/rad");
-    into.number("coulomb", joint.coulomb.into(), "N m");
+    into.number("viscous", joint.viscous.into(), viscous);
+    into.number("coulomb", joint.coulomb.into(), coulomb);
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &to_f64(&[low, high]), "rad");
+        into.numbers("limits", &to_f64(&[low, high]), travel);
     }
     let size = f64::from(joint.radians_per_count.abs());
     if size > 0.0 {
         let counts = f64::from(joint.counts_per_turn);
         let turns = (counts * size / TAU).round();
         let mut into = table(entries, "[joint.encoder]", index);
-        into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, "");
-        into.number("offset", joint.offset.into(), "rad");
+        match prismatic {
+            true => into.number("counts_per_metre", 1.0 / size, ""),
+            false => into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, ""),
+        }
+        into.number("offset", joint.offset.into(), travel);
         into.flag("inverted", joint.radians_per_count < 0.0);
     }
     if let Some(motor) = joint.motor {
         let mut into = table(entries, "[joint.motor]", index);
-        into.number("torque_constant", motor.torque_constant.into(), "N m/A");
+        match prismatic {
+            true => into.number("force_constant", motor.torque_constant.into(), "N/A"),
+            false => into.number("torque_constant", motor.torque_constant.into(), "N m/A"),
+        }
         into.number("resistance", motor.resistance.into(), "ohm");
         into.number("inductance", motor.inductance.into(), "H");
-        into.number("back_emf", motor.back_emf.into(), "V s/rad");
+        into.number("back_emf", motor.back_emf.into(), if prismatic { "V s/m" } else { "V s/rad" });
         into.number("max_current", motor.max_current.into(), "A");
         into.flag("verified", motor.verified);
     }
@@ -303,9 +310,9 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     let mut top = table(&mut entries, "", 0);
     top.word("name", &device.name);
     top.word("mechanism", spec.name);
-    put_coefficients(&mut table(&mut entries, LUMPED, 0), &device.mechanism);
+    put_coefficients(&mut table(&mut entries, LUMPED_TABLE, 0), &device.mechanism);
     for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
-        put_joint(&mut entries, index, joint);
+        put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
     if let Some(home) = device.home {
         table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
@@ -322,6 +329,8 @@ fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
                 Some::<Vec<f64>>(numbers) => into.numbers(name, &numbers, unit(name)),
                 None => values.iter().enumerate().for_each(|(at, value)| collect(&under(&at.to_string()), value, into)),
             },
+            serde_json::Value::Bool(flag) => into.flag(name, *flag),
+            serde_json::Value::Null => {}
             value => into.number(name, value.as_f64().unwrap_or(f64::NAN), unit(name)),
         }
     }
@@ -334,17 +343,19 @@ fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
 fn unit(coefficient: &str) -> &'static str {
     let name = coefficient.trim_start_matches("plane.").split('.').next().unwrap_or_default();
     match name {
-        "length" | "lengths" | "base" | "proximal" | "axis_floor" | "offset" | "upper" => "m",
+        "arc" | "tip" | "origin" | "length" | "lengths" | "base" | "proximal" | "axis_floor" | "offset" | "upper" => {
+            "m"
+        }
         "inverse_length" | "inverse_lengths" | "reach_scale" => "1/m",
         "reach" | "distal_difference" | "elbow_floor" | "rods_floor" | "leg_floor" | "fore_squared" => "m²",
         "elbow_scale" | "rods_scale" | "leg_scale" => "1/m²",
         "volume_floor" => "m³",
         "volume_scale" => "1/m³",
         "triangle_floor" => "m⁴",
-        "inertia" | "arm_inertia" | "turret_inertia" | "coupling" | "spin" | "rotor" => "kg m²",
+        "inertias" | "inertia" | "arm_inertia" | "turret_inertia" | "coupling" | "spin" | "rotor" => "kg m²",
         "rod_coupling" | "tip_mass" | "elbow_load" | "tip_load" | "elbow_spin" | "coupled_spin" | "tip_spin" => "kg",
         "loads" => "kg m",
-        "weight" => "N m",
+        "weight" | "weights" => "N m",
         "elbow_weights" | "tip_weight" => "N",
         "gravity" | "gravity_z" => "m/s²",
         _ => "",

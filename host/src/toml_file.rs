@@ -269,6 +269,30 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// Reads a list of exactly `count` words of a fixed set and returns their meanings.
+    pub fn words<T: Copy>(&self, key: &str, count: usize, words: &[(&str, T)]) -> Result<Option<Vec<T>>, FileError> {
+        let Some(value) = self.entries.get(key) else { return Ok(None) };
+        let known: Vec<String> = words.iter().map(|(word, _)| format!("\"{word}\"")).collect();
+        let expected = || format!("a list of {count} of {}", known.join(", "));
+        let DeValue::Array(values) = value.get_ref() else { return Err(self.wrong_type(key, expected(), value)) };
+        let meaning = |value: &Spanned<DeValue<'_>>| match value.get_ref() {
+            DeValue::String(text) => words.iter().find(|(word, _)| *word == text.as_ref()).map(|(_, meaning)| *meaning),
+            _ => None,
+        };
+        match values.iter().map(meaning).collect::<Option<Vec<T>>>().filter(|found| found.len() == count) {
+            Some(found) => Ok(Some(found)),
+            None => Err(self.wrong_type(key, expected(), value)),
+        }
+    }
+
+    /// Returns the length of the list under a key, or `None` if the key holds no list.
+    pub fn count(&self, key: &str) -> Option<usize> {
+        match self.entries.get(key)?.get_ref() {
+            DeValue::Array(values) => Some(values.len()),
+            _ => None,
+        }
+    }
+
     /// Reads `true` or `false`.
     pub fn flag(&self, key: &str) -> Result<Option<bool>, FileError> {
         match self.entries.get(key) {

@@ -12,6 +12,8 @@ pub const MAX_GEOMETRY: usize = 8;
 pub struct Spec {
     /// Name in device files. Mechanisms of one name differ in the number of joints.
     pub name: &'static str,
+    /// Name that differs for each mechanism, for templates and reports.
+    pub label: &'static str,
     /// Number of joints N.
     pub joints: usize,
     /// Task dimension d.

@@ -41,17 +41,6 @@ impl Description {
         links
     }
 
-    /// Returns true if angles of the joint that differ by a complete turn are the same pose. A prismatic joint never
-    /// repeats, nor does a joint whose task coordinate is an arc length.
-    pub fn repeats(&self, joint: usize) -> bool {
-        let is_arc = match self.kind {
-            Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => true,
-            Kind::Chain1 => self.geometry[3] == ARC,
-            _ => false,
-        };
-        !is_arc && !self.joints.get(joint).is_some_and(|joint| joint.prismatic)
-    }
-
     /// Returns true if any joint has a compliant transmission or a structural mode.
     pub fn is_flexible(&self) -> bool {
         self.joints.iter().any(|joint| joint.transmission.is_some() || joint.structural_modes().next().is_some())

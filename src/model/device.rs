@@ -55,6 +55,7 @@ impl<T: Real> Device<T> {
     /// Computes the coefficients in f64 and rounds them once. Cuts the name to at most [`NAME_LENGTH`] bytes.
     pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
         let spec = description.kind.spec();
+        let mechanism = AnyMechanism::new(description)?;
         let r = T::from_f64;
         let mut short = String::new();
         for character in name.chars() {
@@ -72,7 +73,7 @@ impl<T: Real> Device<T> {
                     Some(home) => offset_on_count(encoder.offset, home[index], scale),
                     None => encoder.offset,
                 });
-                if description.repeats(index) {
+                if mechanism.repeats(index) {
                     joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
                 }
             }
@@ -84,7 +85,7 @@ impl<T: Real> Device<T> {
         }
         Ok(Self {
             name: short,
-            mechanism: AnyMechanism::new(description)?,
+            mechanism,
             weight: description.gravity.iter().take(spec.gravity).any(|g| *g != 0.0),
             joints,
             home: description.home.map(|home| home.map(r)),

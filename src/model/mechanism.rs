@@ -245,6 +245,15 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         let inverse = self.jacobian_inverse(pose);
         inverse.tr_mul(&(self.mass(pose) * inverse))
     }
+    /// Returns true if angles of the joint that differ by a complete turn are the same pose. A prismatic joint never
+    /// repeats, nor does a joint whose task coordinate is an arc length.
+    fn repeats(&self, _joint: usize) -> bool {
+        true
+    }
+    /// Returns true if the joint slides along its axis instead of turning about it.
+    fn is_prismatic(&self, _joint: usize) -> bool {
+        false
+    }
     /// Returns the two joint coordinates that the mass matrix depends on, rad.
     fn shape(&self, q: &SVector<T, N>) -> [T; 2];
 }
@@ -285,6 +294,20 @@ macro_rules! define {
             pub fn cast<U: Real>(&self) -> AnyMechanism<U> {
                 match self {
                     $(Self::$Variant(mechanism) => AnyMechanism::$Variant(mechanism.cast()),)*
+                }
+            }
+
+            /// Returns [`Mechanism::repeats`].
+            pub fn repeats(&self, joint: usize) -> bool {
+                match self {
+                    $(Self::$Variant(mechanism) => <$Variant<T> as Mechanism<T, $n>>::repeats(mechanism, joint),)*
+                }
+            }
+
+            /// Returns [`Mechanism::is_prismatic`].
+            pub fn is_prismatic(&self, joint: usize) -> bool {
+                match self {
+                    $(Self::$Variant(mechanism) => <$Variant<T> as Mechanism<T, $n>>::is_prismatic(mechanism, joint),)*
                 }
             }
 

@@ -131,7 +131,7 @@ pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarn
 /// knob may turn more often, so its angle must also be a multiple of 5.
 fn in_degrees(kind: Kind, angle: f64) -> bool {
     let round = angle.abs() >= 15.0 && angle % 5.0 == 0.0;
-    angle.abs() > core::f64::consts::TAU && (kind != Kind::Paddle || round)
+    angle.abs() > core::f64::consts::TAU && (!kind.spec().are_links_optional || round)
 }
 
 fn full_turns(what: &str, angle: f64) -> String {

@@ -20,6 +20,8 @@ struct Example {
     links: &'static [(f64, f64, f64, &'static str)],
     /// Inertia (kg m²), limits (rad) and comment of each joint.
     joints: &'static [(f64, [f64; 2], &'static str)],
+    /// Origin and axis of each joint of a chain.
+    frames: &'static [(&'static str, &'static str)],
     home: &'static str,
 }
 
@@ -29,11 +31,78 @@ fn example(kind: Kind) -> Example {
     match kind {
         Kind::Paddle => Example {
             about: "One handle on one pivot. Its task coordinate is the arc, length times angle.",
-            gravity: "[0.0]                  # a paddle carries no weight: balance it, or lay it flat",
+            gravity: "[0.0, 0.0]             # x, y; zero if it is balanced or lies flat",
             geometry: &[("length", "0.07", "pivot to handle")],
             links: &[],
             joints: &[(8.0e-4, [-0.6, 0.6], "the whole paddle about its pivot, and the rotor times the ratio squared")],
+            frames: &[],
             home: "[0.0]",
+        },
+        Kind::Paddles2 | Kind::Paddles3 => Example {
+            about: "Two or three handles on one board, each on its own pivot. The task coordinates are the arcs, length times\n\
+                    # angle. A handle points along (cos q, sin q).",
+            gravity: "[0.0, 0.0]             # x, y; zero if the handles are balanced or lie flat",
+            geometry: match kind {
+                Kind::Paddles2 => &[("lengths", "[0.08, 0.08]", "pivot to handle, of each paddle")],
+                _ => &[("lengths", "[0.08, 0.08, 0.08]", "pivot to handle, of each paddle")],
+            },
+            links: &[],
+            joints: if kind == Kind::Paddles2 { &[PADDLE_JOINT; 2] } else { &[PADDLE_JOINT; 3] },
+            frames: &[],
+            home: if kind == Kind::Paddles2 { "[0.0, 0.0]" } else { "[0.0, 0.0, 0.0]" },
+        },
+        Kind::Chain1 => Example {
+            about: "One handle on one pivot that feels gravity: an upright paddle. Its task coordinate is the arc of the tip.\n\
+                    # A slide is a chain of one joint too: type = \"prismatic\", task = [\"x\"] (docs/devices.md).",
+            gravity: "[0.0, -9.81, 0.0]      # x, y, z; y is up",
+            geometry: &[
+                ("tip", "[0.07, 0.0, 0.0]", "m, in the last link's frame"),
+                ("task", "[\"arc\"]", "coordinates that walls act on: \"arc\", or one of \"x\", \"y\", \"z\""),
+            ],
+            links: &[(0.05, 0.035, 4.0e-5, "from the pivot")],
+            joints: &[(2.0e-4, [0.9, 2.2], "rotor times the ratio squared")],
+            frames: &[("[0.0, 0.0, 0.0]", "[0.0, 0.0, 1.0]")],
+            home: "[1.5707963]",
+        },
+        Kind::Chain2 => Example {
+            about: "Two joints in series with any axes, here an arm in the plane. At zero angles both links point along +x.",
+            gravity: "[0.0, 0.0, -9.81]      # x, y, z in the base frame; z is up",
+            geometry: &[
+                ("tip", "[0.1, 0.0, 0.0]", "m, in the last link's frame"),
+                ("task", "[\"x\", \"y\"]", "coordinates of the tip that walls act on, as many as joints"),
+            ],
+            links: &[
+                (0.06, 0.05, 6.0e-5, "from joint 0 towards joint 1"),
+                (0.04, 0.05, 4.0e-5, "from joint 1 towards the tip"),
+            ],
+            joints: &[(2.0e-5, [-1.0, 1.6], "rotor times the ratio squared"), (2.0e-5, [0.4, 2.6], "")],
+            frames: &[("[0.0, 0.0, 0.0]", "[0.0, 0.0, 1.0]"), ("[0.12, 0.0, 0.0]", "[0.0, 0.0, 1.0]")],
+            home: "[0.2, 1.4]",
+        },
+        Kind::Chain3 => Example {
+            about: "Three joints in series with any axes, here an arm like the Touch: a turret about the vertical z axis, shoulder\n\
+                    # and elbow about horizontal axes. At zero angles both arms point along +x.",
+            gravity: "[0.0, 0.0, -9.81]      # x, y, z in the base frame; z is up",
+            geometry: &[
+                ("tip", "[0.13, 0.0, 0.0]", "m, in the last link's frame"),
+                ("task", "[\"x\", \"y\", \"z\"]", "coordinates of the tip that walls act on, as many as joints"),
+            ],
+            links: &[
+                (0.1, 0.0, 1.0e-4, "from the turret's axis"),
+                (0.06, 0.05, 1.0e-4, "from the shoulder towards the elbow"),
+                (0.03, 0.06, 5.0e-5, "from the elbow towards the tip"),
+            ],
+            joints: &[
+                (1.0e-4, [-0.9, 0.9], "rotor times the ratio squared"),
+                (1.0e-4, [-1.2, 0.2], ""),
+                (5.0e-5, [0.5, 2.2], ""),
+            ],
+            frames: &[
+                ("[0.0, 0.0, 0.0]", "[0.0, 0.0, 1.0]"),
+                ("[0.0, 0.0, 0.0]", "[0.0, 1.0, 0.0]"),
+                ("[0.13, 0.0, 0.0]", "[0.0, 1.0, 0.0]"),
+            ],
+            home: "[0.0, -0.7, 1.3]",
         },
         Kind::FiveBar => Example {
             about: "Two motors side by side, two arms, one tip. Joint 0 is the motor at -base/2 (left), joint 1 the one at\n\
@@ -52,6 +121,7 @@ fn example(kind: Kind) -> Example {
                 (0.012, 0.045, 1.0e-5, FROM_ELBOW),
             ],
             joints: &[(2.0e-6, [1.2, 3.3], "rotor times the ratio squared"), (2.0e-6, [-0.2, 1.9], "")],
+            frames: &[],
             home: "[2.3, 0.8415926]",
         },
         Kind::FiveBarTurret => Example {
@@ -75,6 +145,7 @@ fn example(kind: Kind) -> Example {
                 (8.0e-5, [1.2, 3.3], "rotor times the ratio squared"),
                 (8.0e-5, [-0.2, 1.9], ""),
             ],
+            frames: &[],
             home: "[0.0, 2.2, 0.9415926]",
         },
         Kind::Parallelogram => Example {
@@ -97,6 +168,7 @@ fn example(kind: Kind) -> Example {
                 (3.0e-4, [0.2, 2.0], "rotor times the ratio squared"),
                 (3.0e-4, [-1.2, 0.8], ""),
             ],
+            frames: &[],
             home: "[0.0, 1.2, -0.2]",
         },
         Kind::Serial3r => Example {
@@ -114,6 +186,7 @@ fn example(kind: Kind) -> Example {
                 (2.0e-5, [0.3, 2.6], ""),
                 (1.0e-5, [-1.5, 2.0], ""),
             ],
+            frames: &[],
             home: "[0.3, 1.2, 0.8]",
         },
         // Lengths and zero angles of a Falcon as libnifalcon's FalconGeometry.h has them: r, c, a and b + d + e, without
@@ -137,10 +210,15 @@ fn example(kind: Kind) -> Example {
                 (5.0e-5, [-0.3, 1.4], ""),
                 (5.0e-5, [-0.3, 1.4], ""),
             ],
+            frames: &[],
             home: "[0.6108652, 0.6108652, 0.6108652]",
         },
     }
 }
+
+/// Joint of an example of several paddles.
+const PADDLE_JOINT: (f64, [f64; 2], &str) =
+    (8.0e-4, [-0.6, 0.6], "the whole paddle about its pivot, and the rotor times the ratio squared");
 
 /// Motors and encoders that the boards support, as a sentence without full stop.
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
@@ -150,7 +228,8 @@ pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incr
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
-    let turret = spec.task == 3 && kind != Kind::Delta;
+    let is_chain = spec.name == "chain";
+    let turret = spec.task == 3 && !is_chain && kind != Kind::Delta;
     let mut text = format!(
         "# {about}\n\
          # Every number here is an example: replace it with your device's value. SI units throughout (m, kg, s, N, rad).\n\
@@ -175,6 +254,13 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         if from.is_empty() {
             continue;
         }
+        if is_chain {
+            line("com", format!("[{}, 0.0, 0.0]", number(*com)), &format!("m, x, y, z of the centre of mass, {from}"));
+            let (axial, across) = (number(0.05 * inertia), number(*inertia));
+            let meaning = "kg m²: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass";
+            line("inertia", format!("[{axial}, {across}, {across}, 0.0, 0.0, 0.0]"), if first { meaning } else { "" });
+            continue;
+        }
         line("com", number(*com), &format!("m, centre of mass {from}"));
         line(
             "inertia",
@@ -195,6 +281,20 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         let first = index == 0;
         let note = |comment: &'static str| if first { comment } else { "" };
         line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &with_prefix("kg m²", comment));
+        if let Some((origin, axis)) = example.frames.get(index) {
+            line(
+                "origin",
+                (*origin).into(),
+                note("m, of the joint's frame in the frame of the link before; default zero"),
+            );
+            line("# rpy", "[0.0, 0.0, 0.0]".into(), note("rad, roll, pitch, yaw of the joint's frame; default zero"));
+            line("axis", (*axis).into(), note("in the joint's frame; default z"));
+            line(
+                "# type",
+                "\"prismatic\"".into(),
+                note("for a slide, with counts_per_metre and force_constant; default revolute"),
+            );
+        }
         line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
         line("coulomb", "2.0e-3".into(), note("N m, dry friction; default 0"));
         line(
@@ -258,7 +358,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             line("# inertia", number(0.05 * inertia), "kg m², inertia of the swinging part about the joint");
         }
     }
-    line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
+    if spec.name != "paddles" {
+        line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
+    }
     line("\n[home]\nq", example.home.into(), "rad, the pose in which you hold the device for `haptic home`");
     text
 }

@@ -215,9 +215,11 @@ pub fn evaluate_holding(
         Precision::F32 => {
             // Wraps the angles as the controller does, because the board's trigonometry is accurate within a turn.
             let turn = core::f64::consts::TAU;
-            let wrap =
-                |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
-            let q: Vec<f64> = q.iter().map(wrap).collect();
+            let wrap = |(joint, angle): (usize, &f64)| match device.mechanism.repeats(joint) {
+                true => angle - turn * (angle / turn).round(),
+                false => *angle,
+            };
+            let q: Vec<f64> = q.iter().enumerate().map(wrap).collect();
             let mechanism = AnyMechanism::<f32>::new(&device.description).map_err(|_| ModelError::NotFinite)?;
             with_mechanism!(&mechanism, m => report::<f32, BoardMath, _, _>(m, &q, qd, walls, admissible))
         }

@@ -7,7 +7,7 @@ use haptic_bridge::math::FineTable;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::{Delta, Mechanism};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// A point in the linkage's plane, m.
 pub type Point = (f64, f64);
@@ -55,8 +55,7 @@ impl Turret {
         match kind {
             Kind::FiveBarTurret => Some(Self::AboutX),
             Kind::Parallelogram => Some(Self::AboutY),
-            Kind::Paddle | Kind::FiveBar | Kind::Serial3r => None,
-            Kind::Delta => None,
+            _ => None,
         }
     }
 }
@@ -86,7 +85,8 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
         return None;
     }
     match description.kind {
-        Kind::Paddle => Some(paddle(description, q[0])),
+        Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => Some(paddles(description, q)),
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => Some(chain(description, q)),
         Kind::FiveBar => five_bar(description, [q[0], q[1]], 0),
         Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
         Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
@@ -95,20 +95,74 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
     }
 }
 
-fn paddle(description: &Description, q: f64) -> Skeleton {
-    let length = description.geometry[0];
-    let tip = point_at((0.0, 0.0), length, q);
+/// Returns the paddles side by side. The tip is that of the first.
+fn paddles(description: &Description, q: &[f64]) -> Skeleton {
+    let spec = description.kind.spec();
+    let mut paddles =
+        Skeleton { bars: Vec::new(), angles: Vec::new(), base: Vec::new(), letters: Vec::new(), tip: (0.0, 0.0) };
+    let longest = description.geometry.iter().fold(0.0_f64, |longest, length| longest.max(*length));
+    for (joint, (length, q)) in description.geometry.iter().copied().zip(q).enumerate().take(spec.joints) {
+        let pivot = (0.0, -2.0 * longest * joint as f64);
+        let tip = point_at(pivot, length, *q);
+        paddles.bars.push(Bar { name: spec.links[joint], from: pivot, to: tip, length });
+        paddles.angles.push(Angle { joint, at: pivot, zero: 0.0, angle: *q, arm: length });
+        paddles.base.push(pivot);
+        if joint == 0 {
+            paddles.tip = tip;
+        }
+    }
+    paddles
+}
+
+/// Returns a chain as seen against its missing task coordinate: the drawing's axes are the first two task coordinates.
+/// A chain of one joint is seen along its axis if it turns, otherwise along a normal of its axis.
+fn chain(description: &Description, q: &[f64]) -> Skeleton {
+    let spec = description.kind.spec();
+    let (mut frame, mut origin) = (Matrix3::identity(), Vector3::zeros());
+    let (mut points, mut axis) = (Vec::new(), Vector3::z());
+    for (joint, q) in description.joints.iter().zip(q).take(spec.joints) {
+        origin += frame * Vector3::from(joint.frame.origin);
+        points.push(origin);
+        let [roll, pitch, yaw] = joint.frame.rpy;
+        frame *= Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+        let own = Vector3::from(joint.frame.axis).normalize();
+        axis = frame * own;
+        if joint.prismatic {
+            origin += axis * *q;
+        } else {
+            frame *= Rotation3::new(own * *q).matrix();
+        }
+    }
+    let [x, y, z, first, second, ..] = description.geometry;
+    points.push(origin + frame * Vector3::new(x, y, z));
+    let unit = |coordinate: f64| Vector3::from_fn(|row, _| f64::from(u8::from(row as f64 == coordinate)));
+    let (right, up) = if spec.joints > 1 {
+        (unit(first), unit(second))
+    } else if description.joints[0].prismatic {
+        let right = if first < 3.0 { unit(first) } else { axis };
+        (right, (unit(2.0) - right * right.z).try_normalize(1e-6).unwrap_or(Vector3::y()))
+    } else {
+        let right = (Vector3::x() - axis * axis.x).try_normalize(1e-6).unwrap_or(Vector3::y());
+        (right, axis.cross(&right))
+    };
+    let seen = |point: &Vector3<f64>| (point.dot(&right), point.dot(&up));
+    let bars = points.windows(2).zip(spec.links).map(|(ends, name)| Bar {
+        name,
+        from: seen(&ends[0]),
+        to: seen(&ends[1]),
+        length: (ends[1] - ends[0]).norm(),
+    });
     Skeleton {
-        bars: vec![Bar { name: "paddle", from: (0.0, 0.0), to: tip, length }],
-        angles: vec![Angle { joint: 0, at: (0.0, 0.0), zero: 0.0, angle: q, arm: length }],
-        base: vec![(0.0, 0.0)],
+        bars: bars.collect(),
+        angles: Vec::new(),
+        base: vec![seen(&points[0])],
         letters: Vec::new(),
-        tip,
+        tip: seen(&points[spec.joints]),
     }
 }
 
 fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skeleton> {
-    let [base, l1, l2, r1, r2, assembly] = description.geometry;
+    let [base, l1, l2, r1, r2, assembly, ..] = description.geometry;
     let (a, b) = ((-base / 2.0, 0.0), (base / 2.0, 0.0));
     let (c, d) = (point_at(a, l1, q[0]), point_at(b, l2, q[1]));
     let (dx, dy) = (d.0 - c.0, d.1 - c.1);

@@ -54,11 +54,15 @@ pub type Chain3<T> = Chain<T, 3>;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 struct ChainJoint<T> {
     prismatic: bool,
+    /// 1 for a revolute joint, 0 for a prismatic one. Products with it cost less than branches.
+    turns: T,
+    /// 1 for a prismatic joint, 0 for a revolute one.
+    slides: T,
+    /// Mask of the binary angle: all bits of a revolute joint, none of a prismatic one.
+    angle_mask: u32,
     /// Angle from the joint's zero to the zero of its frame, rad and in binary. Zero in the first joint.
     offset: T,
     binary_offset: u32,
-    /// Sine and cosine of `offset`.
-    turn: (T, T),
     /// Cosine of the angle about x from the frame of the link before to the joint's frame. Unused in the first joint.
     cosine: T,
     /// Sine of the same angle.
@@ -102,26 +106,35 @@ struct MassTerms<T: Real, const N: usize> {
     by_c: [T; 5],
 }
 
-/// Quantities that depend on the joint coordinates alone.
+/// Quantities that depend on the joint coordinates alone. Vectors are in the frame of the first link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real, const N: usize> {
-    /// Coordinates of the joints, rad or m.
-    q: [T; N],
-    cosine: [T; N],
-    sine: [T; N],
+    motions: [Motion<T>; N],
     tip: SVector<T, N>,
-    /// Axis of each joint in the frame of the first link.
-    axis: [Vector3<T>; N],
-    /// Velocity of the tip per unit velocity of each joint in the frame of the first link.
-    lever: [Vector3<T>; N],
+    /// Axis of each joint; unused for the first joint, whose axis is z.
+    axes: [Vector3<T>; N],
+    /// Velocity of the tip per unit velocity of each joint.
+    levers: [Vector3<T>; N],
     /// Rows of the rotation from the first link to the task.
     task: [Vector3<T>; N],
     jacobian: SMatrix<T, N, N>,
-    /// J⁻¹ det J.
-    adjugate: SMatrix<T, N, N>,
+    /// det J, which a left-handed order of the task's coordinates makes negative.
     determinant: T,
-    /// 1/det J, clamped.
+    /// 1/det of `levers` in space and of `jacobian` otherwise, clamped.
     inverse_determinant: T,
+    /// Cross products of the levers in space: the rows of their adjugate.
+    adjugate: [Vector3<T>; N],
+}
+
+/// Coordinate of a joint, and the rotation about its axis from its frame to the frame of its link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Motion<T> {
+    /// Angle in rad or travel in m.
+    q: T,
+    /// Travel of a prismatic joint, m; zero for a revolute joint.
+    lift: T,
+    cosine: T,
+    sine: T,
 }
 
 /// Returns v after a rotation about z.
@@ -136,19 +149,97 @@ fn about_x<T: Real>(v: &Vector3<T>, c: T, s: T) -> Vector3<T> {
     Vector3::new(v[0], c * v[1] - s * v[2], s * v[1] + c * v[2])
 }
 
-impl<T: Real> ChainJoint<T> {
-    /// Returns the angle from the zero of the joint's frame.
+impl<T: Real> Motion<T> {
+    /// Returns a vector of the joint's link in the frame of the joint.
     #[inline(always)]
-    fn turned(&self, angle: Angle<T>) -> Angle<T> {
-        let binary = angle.binary.map(|binary| BinaryAngle(binary.0.wrapping_add(self.binary_offset)));
-        Angle { radians: angle.radians + self.offset, binary }
+    fn turned(&self, v: &Vector3<T>) -> Vector3<T> {
+        about_z(v, self.cosine, self.sine)
+    }
+
+    /// Returns a vector in the frame of the joint in the frame of its link.
+    #[inline(always)]
+    fn turned_back(&self, v: &Vector3<T>) -> Vector3<T> {
+        about_z(v, self.cosine, -self.sine)
+    }
+
+    /// Returns a point of the joint's link in the frame of the joint.
+    #[inline(always)]
+    fn moved(&self, point: &Vector3<T>) -> Vector3<T> {
+        let turned = self.turned(point);
+        Vector3::new(turned[0], turned[1], turned[2] + self.lift)
+    }
+}
+
+impl<T: Real> ChainJoint<T> {
+    #[inline(always)]
+    fn motion<K: Math<T>>(&self, angle: Angle<T>) -> Motion<T> {
+        let q = angle.radians;
+        let turned = |binary: BinaryAngle| {
+            BinaryAngle((binary.0 & self.angle_mask).wrapping_add(self.binary_offset))
+        };
+        let radians = q * self.turns + self.offset;
+        let (sine, cosine) = K::sin_cos_of(Angle { radians, binary: angle.binary.map(turned) });
+        Motion { q, lift: q * self.slides, cosine, sine }
+    }
+
+    /// Returns a vector in the joint's frame in the frame of the link before.
+    #[inline(always)]
+    fn before(&self, v: &Vector3<T>) -> Vector3<T> {
+        about_x(v, self.cosine, self.sine)
+    }
+
+    /// Returns the joint's axis in the frame of the link before.
+    #[inline(always)]
+    fn axis_before(&self) -> Vector3<T> {
+        Vector3::new(T::zero(), -self.sine, self.cosine)
+    }
+
+    /// Returns the velocity per unit velocity of the joint of a point in the joint's frame.
+    #[inline(always)]
+    fn lever(&self, point: &Vector3<T>) -> Vector3<T> {
+        Vector3::new(-self.turns * point[1], self.turns * point[0], self.slides)
+    }
+
+    /// Returns [`ChainJoint::lever`] in the frame of the link before.
+    #[inline(always)]
+    fn lever_before(&self, point: &Vector3<T>) -> Vector3<T> {
+        self.before(&self.lever(point))
+    }
+
+    /// Returns a vector in the frame of the link before in the frame of the joint's link.
+    #[inline(always)]
+    fn turned_back(&self, v: &Vector3<T>, motion: &Motion<T>) -> Vector3<T> {
+        motion.turned_back(&about_x(v, self.cosine, -self.sine))
+    }
+
+    /// Returns the torque or force that holds this link and all later links, whose first moment of mass is `moment`
+    /// (kg m), against gravity (m/s²). Both are in the link's frame.
+    #[inline(always)]
+    fn weight(&self, moment: &Vector3<T>, gravity: &Vector3<T>) -> T {
+        self.turns * (moment[1] * gravity[0] - moment[0] * gravity[1]) - self.slides * self.mass * gravity[2]
+    }
+
+    /// Returns the first moment of mass of this link and all later links (kg m), of which `next` has the moment `later`.
+    #[inline(always)]
+    fn moment_with(&self, next: &Self, motion: &Motion<T>, later: &Vector3<T>) -> Vector3<T> {
+        let mut moment = motion.turned(later);
+        moment[2] += next.mass * motion.lift;
+        next.before(&moment) + Vector3::from(self.moment)
+    }
+
+    /// Returns the acceleration of a point by the joint's rotation at the rate `qd` (rad/s) while the point moves with
+    /// the velocity `v`: `axis` × v qd.
+    #[inline(always)]
+    fn turning(&self, axis: &Vector3<T>, v: &Vector3<T>, qd: T) -> Vector3<T> {
+        axis.cross(&(v * (qd * self.turns)))
     }
 }
 
 impl<T: Real> Basis<T> {
     #[inline(always)]
-    fn new(prismatic: bool, q: T, c: T, s: T) -> Self {
-        let (u, v, du, dv) = if prismatic { (q, T::zero(), T::one(), T::zero()) } else { (c, s, -s, c) };
+    fn new(joint: &ChainJoint<T>, motion: &Motion<T>) -> Self {
+        let (dv, v) = (joint.turns * motion.cosine, joint.turns * motion.sine);
+        let (u, du) = (dv + motion.lift, joint.slides - v);
         Self { u, v, uu: u * u, uv: u * v, slope: [du, dv, (u + u) * du, du * v + u * dv] }
     }
 
@@ -179,9 +270,11 @@ impl<T: Real, const N: usize> Chain<T, N> {
         Chain {
             joints: self.joints.map(|joint| ChainJoint {
                 prismatic: joint.prismatic,
+                turns: cast(joint.turns),
+                slides: cast(joint.slides),
+                angle_mask: joint.angle_mask,
                 offset: cast(joint.offset),
                 binary_offset: joint.binary_offset,
-                turn: (cast(joint.turn.0), cast(joint.turn.1)),
                 cosine: cast(joint.cosine),
                 sine: cast(joint.sine),
                 origin: joint.origin.map(cast),
@@ -210,7 +303,7 @@ impl<T: Real, const N: usize> Chain<T, N> {
     #[inline(always)]
     fn basis(&self, pose: &Pose<T, N>, back: usize) -> Basis<T> {
         let i = N - 1 - back;
-        Basis::new(self.joints[i].prismatic, pose.q[i], pose.cosine[i], pose.sine[i])
+        Basis::new(&self.joints[i], &pose.motions[i])
     }
 
     /// Returns the mass matrix and its derivatives. A caller that needs only one of them pays only for that one.
@@ -231,18 +324,27 @@ impl<T: Real, const N: usize> Chain<T, N> {
             terms.by_c[4] = c.first_slope(&series.bc);
             if N >= 3 {
                 let b = self.basis(pose, 1);
-                let (aa, ab, ac) = (
-                    series.aa.each_ref().map(|row| c.second(row)),
-                    series.ab.each_ref().map(|row| c.second(row)),
-                    series.ac.each_ref().map(|row| c.first(row)),
-                );
+                // Written out, because the compiler does not unroll these loops.
+                let [a0, a1, a2, a3, a4] = &series.aa;
+                let aa = [c.second(a0), c.second(a1), c.second(a2), c.second(a3), c.second(a4)];
+                let by_c = [
+                    c.second_slope(a0),
+                    c.second_slope(a1),
+                    c.second_slope(a2),
+                    c.second_slope(a3),
+                    c.second_slope(a4),
+                ];
+                let [b0, b1, b2] = &series.ab;
+                let ab = [c.second(b0), c.second(b1), c.second(b2)];
+                let [c0, c1, c2] = &series.ac;
+                let ac = [c.first(c0), c.first(c1), c.first(c2)];
                 put(3, 3, b.second(&aa));
                 put(3, 2, b.first(&ab));
                 put(3, 1, b.first(&ac));
                 terms.by_b = [b.second_slope(&aa), b.first_slope(&ab), b.first_slope(&ac)];
-                terms.by_c[0] = b.second(&series.aa.each_ref().map(|row| c.second_slope(row)));
-                terms.by_c[1] = b.first(&series.ab.each_ref().map(|row| c.second_slope(row)));
-                terms.by_c[2] = b.first(&series.ac.each_ref().map(|row| c.first_slope(row)));
+                terms.by_c[0] = b.second(&by_c);
+                terms.by_c[1] = b.first(&[c.second_slope(b0), c.second_slope(b1), c.second_slope(b2)]);
+                terms.by_c[2] = b.first(&[c.first_slope(c0), c.first_slope(c1), c.first_slope(c2)]);
             }
         }
         terms
@@ -271,56 +373,54 @@ impl<T: Real, const N: usize> Chain<T, N> {
         torque
     }
 
-    /// Returns J̇ q̇, the tip's acceleration while no joint accelerates.
+    /// Returns the tip's acceleration while no joint accelerates, in the frame of the first link.
     #[inline(always)]
-    fn tip_acceleration(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
-        // Σᵢ q̇ᵢ zᵢ × (q̇ᵢ Jᵢ + 2 Σ_{j>i} q̇ⱼ Jⱼ) over the revolute joints i.
-        let (mut acceleration, mut later) = (Vector3::zeros(), Vector3::zeros());
-        for i in (0..N).rev() {
-            let own = pose.lever[i] * qd[i];
-            let moved = own + later;
-            if !self.joints[i].prismatic {
-                acceleration += if i == 0 {
-                    Vector3::new(-moved[1] * qd[i], moved[0] * qd[i], T::zero())
-                } else {
-                    pose.axis[i].cross(&moved) * qd[i]
-                };
-            }
-            later = moved + own;
+    fn tip_acceleration(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> Vector3<T> {
+        // Σᵢ zᵢ × (q̇ᵢ Jᵢ + 2 Σ_{j>i} q̇ⱼ Jⱼ) q̇ᵢ over the revolute joints i.
+        let (joints, z) = (&self.joints, Vector3::z());
+        let first = pose.levers[0] * qd[0];
+        if N == 1 {
+            return joints[0].turning(&z, &first, qd[0]);
         }
+        let last = pose.levers[N - 1] * qd[N - 1];
+        let mut acceleration = joints[N - 1].turning(&pose.axes[N - 1], &last, qd[N - 1]);
+        let mut later = last + last;
+        if N == 3 {
+            let middle = pose.levers[1] * qd[1];
+            acceleration += joints[1].turning(&joints[1].axis_before(), &(middle + later), qd[1]);
+            later += middle + middle;
+        }
+        acceleration + joints[0].turning(&z, &(first + later), qd[0])
+    }
+
+    /// Returns the joint velocities for a velocity of the tip, which in space is given in the frame of the first link.
+    #[inline(always)]
+    fn joint_velocities(&self, pose: &Pose<T, N>, spatial: &Vector3<T>) -> SVector<T, N> {
+        SVector::from_fn(|i, _| pose.adjugate[i].dot(spatial) * pose.inverse_determinant)
+    }
+
+    /// Returns the joint accelerations that cancel the tip's acceleration: J⁻¹ J̇ q̇.
+    #[inline(always)]
+    fn joint_acceleration(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
         if self.arc.is_some() {
             return SVector::zeros();
         }
-        SVector::from_fn(|row, _| pose.task[row].dot(&acceleration))
-    }
-}
-
-/// Returns the adjugate of a matrix with one to three rows, and its determinant.
-#[inline(always)]
-fn adjugate<T: Real, const N: usize>(m: &SMatrix<T, N, N>) -> (SMatrix<T, N, N>, T) {
-    let mut adjugate = SMatrix::<T, N, N>::identity();
-    if N == 1 {
-        return (adjugate, m[(0, 0)]);
-    }
-    if N == 2 {
-        let l = N - 1;
-        (adjugate[(0, 0)], adjugate[(l, l)]) = (m[(l, l)], m[(0, 0)]);
-        (adjugate[(0, l)], adjugate[(l, 0)]) = (-m[(0, l)], -m[(l, 0)]);
-        return (adjugate, m[(0, 0)] * m[(l, l)] - m[(0, l)] * m[(l, 0)]);
-    }
-    for i in 0..N {
-        for j in 0..N {
-            let (r, s, c, d) = ((j + 1) % N, (j + 2) % N, (i + 1) % N, (i + 2) % N);
-            adjugate[(i, j)] = m[(r, c)] * m[(s, d)] - m[(r, d)] * m[(s, c)];
+        let acceleration = self.tip_acceleration(pose, qd);
+        if N == 3 {
+            return self.joint_velocities(pose, &acceleration);
         }
+        self.inverse(pose, &SVector::from_fn(|row, _| pose.task[row].dot(&acceleration)))
     }
-    let determinant = (0..N).fold(T::zero(), |sum, i| sum + m[(0, i)] * adjugate[(i, 0)]);
-    (adjugate, determinant)
 }
 
 impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     const SPEC: Spec = Spec {
         name: "chain",
+        label: match N {
+            1 => "chain-1",
+            2 => "chain-2",
+            _ => "chain-3",
+        },
         joints: N,
         task: N,
         links: match N {
@@ -345,61 +445,63 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     #[inline(always)]
     fn pose_at<K: Math<T>>(&self, angles: &[Angle<T>; N]) -> Pose<T, N> {
-        let zero = T::zero();
-        let mut pose = Pose {
-            q: angles.each_ref().map(|angle| angle.radians),
-            cosine: [zero; N],
-            sine: [zero; N],
-            tip: SVector::zeros(),
-            axis: [Vector3::z(); N],
-            lever: [Vector3::z(); N],
-            task: [Vector3::zeros(); N],
-            jacobian: SMatrix::zeros(),
-            adjugate: SMatrix::zeros(),
-            determinant: zero,
-            inverse_determinant: zero,
-        };
-        // The tip in the frame of each link, from the last to the first; the levers and axes go along.
+        let joints = &self.joints;
+        // The loops over joints are written out, because the compiler does not unroll them.
+        let mut motions = [joints[0].motion::<K>(angles[0]); N];
+        let (mut axes, mut levers) = ([Vector3::z(); N], [Vector3::z(); N]);
+        // The tip in the frame of each link, from the last to the first.
         let mut tip = Vector3::from(self.tip);
-        for i in (0..N).rev() {
-            let joint = &self.joints[i];
-            if joint.prismatic {
-                (pose.sine[i], pose.cosine[i]) = joint.turn;
-                tip[2] += pose.q[i];
-            } else {
-                (pose.sine[i], pose.cosine[i]) = K::sin_cos_of(joint.turned(angles[i]));
-                pose.lever[i] = Vector3::new(-tip[1], tip[0], zero);
-            }
-            if i == 0 {
-                break;
-            }
-            let (c, s) = (pose.cosine[i], pose.sine[i]);
-            tip = about_x(&about_z(&tip, c, s), joint.cosine, joint.sine) + Vector3::from(joint.origin);
-            for later in i..N {
-                pose.lever[later] = about_x(&about_z(&pose.lever[later], c, s), joint.cosine, joint.sine);
-                if later > i {
-                    pose.axis[later] = about_z(&pose.axis[later], c, s);
-                }
-                pose.axis[later] = about_x(&pose.axis[later], joint.cosine, joint.sine);
-            }
+        if N >= 2 {
+            let joint = &joints[N - 1];
+            motions[N - 1] = joint.motion::<K>(angles[N - 1]);
+            let point = motions[N - 1].moved(&tip);
+            levers[N - 1] = joint.lever_before(&point);
+            axes[N - 1] = joint.axis_before();
+            tip = joint.before(&point) + Vector3::from(joint.origin);
         }
-        let (c, s) = (pose.cosine[0], pose.sine[0]);
-        for row in 0..N {
+        if N >= 3 {
+            let joint = &joints[1];
+            motions[1] = joint.motion::<K>(angles[1]);
+            let point = motions[1].moved(&tip);
+            levers[1] = joint.lever_before(&point);
+            levers[N - 1] = joint.before(&motions[1].turned(&levers[N - 1]));
+            axes[N - 1] = joint.before(&motions[1].turned(&axes[N - 1]));
+            tip = joint.before(&point) + Vector3::from(joint.origin);
+        }
+        levers[0] = joints[0].lever(&tip);
+        tip[2] += motions[0].lift;
+        let (c, s) = (motions[0].cosine, motions[0].sine);
+        let rows: [Vector3<T>; N] = core::array::from_fn(|row| {
             let [x, y, z] = self.task[row];
-            let turned = Vector3::new(x * c + y * s, y * c - x * s, z);
-            pose.task[row] = turned;
-            pose.tip[row] = self.origin[row] + turned.dot(&tip);
-            for column in 0..N {
-                pose.jacobian[(row, column)] = turned.dot(&pose.lever[column]);
-            }
-        }
+            Vector3::new(x * c + y * s, y * c - x * s, z)
+        });
+        let mut place = SVector::from_fn(|row, _| self.origin[row] + rows[row].dot(&tip));
+        let mut jacobian = SMatrix::from_fn(|row, column| rows[row].dot(&levers[column]));
         if let Some(radius) = self.arc {
-            pose.tip[0] = radius * pose.q[0];
-            pose.jacobian[(0, 0)] = radius;
+            (place[0], jacobian[(0, 0)]) = (radius * motions[0].q, radius);
         }
-        (pose.adjugate, pose.determinant) = adjugate(&pose.jacobian);
-        pose.inverse_determinant = reciprocal(pose.determinant, self.determinant_floor);
-        pose
+        let mut adjugate = [Vector3::zeros(); N];
+        let determinant = match N {
+            1 => jacobian[(0, 0)],
+            2 => jacobian[(0, 0)] * jacobian[(N - 1, N - 1)] - jacobian[(0, N - 1)] * jacobian[(N - 1, 0)],
+            _ => {
+                adjugate[0] = levers[N - 2].cross(&levers[N - 1]);
+                adjugate[N - 2] = levers[N - 1].cross(&levers[0]);
+                adjugate[N - 1] = levers[0].cross(&levers[N - 2]);
+                levers[0].dot(&adjugate[0])
+            }
+        };
+        Pose {
+            motions,
+            tip: place,
+            axes,
+            levers,
+            task: rows,
+            jacobian,
+            determinant,
+            inverse_determinant: reciprocal(determinant, self.determinant_floor),
+            adjugate,
+        }
     }
 
     #[inline(always)]
@@ -420,15 +522,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     fn jacobian_rate(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SMatrix<T, N, N> {
         // Column j of J̇ is the velocity of lever j: Σᵢ q̇ᵢ (zᵢ × Jⱼ for i <= j, zⱼ × Jᵢ for i > j).
         let mut rate = SMatrix::zeros();
-        if self.arc.is_some() {
-            return rate;
-        }
-        for j in 0..N {
+        let axis = |i: usize| if i == 1 && N == 3 { self.joints[1].axis_before() } else { pose.axes[i] };
+        for j in 0..if self.arc.is_some() { 0 } else { N } {
             let mut column = Vector3::zeros();
             for i in 0..N {
                 let first = i.min(j);
                 if !self.joints[first].prismatic {
-                    column += pose.axis[first].cross(&pose.lever[i.max(j)]) * qd[i];
+                    column += axis(first).cross(&pose.levers[i.max(j)]) * qd[i];
                 }
             }
             for row in 0..N {
@@ -450,44 +550,77 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     #[inline(always)]
     fn gravity(&self, pose: &Pose<T, N>) -> SVector<T, N> {
-        // Gravity in the frame of each link, then the moment of all later links about each joint.
-        let mut gravity = [Vector3::from(self.gravity); N];
-        for i in 0..N {
-            let before = if i == 0 { gravity[0] } else { gravity[i - 1] };
-            let joint = &self.joints[i];
-            let fixed = if i == 0 { before } else { about_x(&before, joint.cosine, -joint.sine) };
-            gravity[i] = about_z(&fixed, pose.cosine[i], -pose.sine[i]);
+        // Gravity in the frame of each link, from the first to the last, and there the torque of the weight; the moment of
+        // the later links goes from the last to the first.
+        let joints = &self.joints;
+        let first = pose.motions[0].turned_back(&Vector3::from(self.gravity));
+        let mut torque = SVector::zeros();
+        let last_moment = Vector3::from(joints[N - 1].moment);
+        if N == 1 {
+            torque[0] = joints[0].weight(&last_moment, &first);
+            return torque;
         }
-        let (mut torque, mut carried) = (SVector::zeros(), Vector3::zeros());
-        for i in (0..N).rev() {
-            let joint = &self.joints[i];
-            let moment = carried + Vector3::from(joint.moment);
-            if joint.prismatic {
-                torque[i] = -joint.mass * gravity[i][2];
-            } else {
-                torque[i] = moment[1] * gravity[i][0] - moment[0] * gravity[i][1];
-            }
-            if i > 0 {
-                let mut lifted = about_z(&moment, pose.cosine[i], pose.sine[i]);
-                if joint.prismatic {
-                    lifted[2] += joint.mass * pose.q[i];
-                }
-                carried = about_x(&lifted, joint.cosine, joint.sine);
-            }
+        let second = joints[1].turned_back(&first, &pose.motions[1]);
+        if N == 2 {
+            torque[N - 1] = joints[1].weight(&last_moment, &second);
+            torque[0] = joints[0].weight(&joints[0].moment_with(&joints[1], &pose.motions[N - 1], &last_moment), &first);
+            return torque;
         }
+        let third = joints[2].turned_back(&second, &pose.motions[N - 1]);
+        let middle_moment = joints[1].moment_with(&joints[2], &pose.motions[N - 1], &last_moment);
+        let first_moment = joints[0].moment_with(&joints[1], &pose.motions[1], &middle_moment);
+        torque[0] = joints[0].weight(&first_moment, &first);
+        torque[N - 2] = joints[1].weight(&middle_moment, &second);
+        torque[N - 1] = joints[2].weight(&last_moment, &third);
         torque
     }
 
     #[inline(always)]
+    fn transpose(&self, pose: &Pose<T, N>, force: &SVector<T, N>) -> SVector<T, N> {
+        if N < 3 {
+            return pose.jacobian.tr_mul(force);
+        }
+        let spatial = pose.task[0] * force[0] + pose.task[N - 2] * force[N - 2] + pose.task[N - 1] * force[N - 1];
+        SVector::from_fn(|i, _| pose.levers[i].dot(&spatial))
+    }
+
+    #[inline(always)]
+    fn velocity(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
+        if N < 3 {
+            return pose.jacobian * qd;
+        }
+        let spatial = pose.levers[0] * qd[0] + pose.levers[N - 2] * qd[N - 2] + pose.levers[N - 1] * qd[N - 1];
+        SVector::from_fn(|row, _| pose.task[row].dot(&spatial))
+    }
+
+    #[inline(always)]
     fn inverse(&self, pose: &Pose<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        pose.adjugate * velocity * pose.inverse_determinant
+        if N == 3 {
+            let (a, b, c) = (velocity[0], velocity[N - 2], velocity[N - 1]);
+            return self.joint_velocities(pose, &(pose.task[0] * a + pose.task[N - 2] * b + pose.task[N - 1] * c));
+        }
+        if N == 1 {
+            return velocity * pose.inverse_determinant;
+        }
+        let (first, last, j) = (velocity[0], velocity[N - 1], &pose.jacobian);
+        let mut rates = SVector::zeros();
+        rates[0] = (j[(N - 1, N - 1)] * first - j[(0, N - 1)] * last) * pose.inverse_determinant;
+        rates[N - 1] = (j[(0, 0)] * last - j[(N - 1, 0)] * first) * pose.inverse_determinant;
+        rates
     }
 
     #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
         let terms = self.mass_terms(pose);
-        let qdd_bias = self.inverse(pose, &self.tip_acceleration(pose, qd));
-        Self::coriolis_of(&terms, qd) - terms.mass * qdd_bias
+        Self::coriolis_of(&terms, qd) - terms.mass * self.joint_acceleration(pose, qd)
+    }
+
+    fn repeats(&self, joint: usize) -> bool {
+        self.arc.is_none() && !self.is_prismatic(joint)
+    }
+
+    fn is_prismatic(&self, joint: usize) -> bool {
+        self.joints.get(joint).is_some_and(|joint| joint.prismatic)
     }
 
     fn shape(&self, q: &SVector<T, N>) -> [T; 2] {

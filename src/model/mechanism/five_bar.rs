@@ -282,6 +282,7 @@ impl<T: Real> FiveBar<T> {
 impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     const SPEC: Spec = Spec {
         name: "five-bar",
+        label: "five-bar",
         joints: 2,
         task: 2,
         links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],

@@ -168,6 +168,7 @@ impl<T: Real> FiveBarTurret<T> {
 impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     const SPEC: Spec = Spec {
         name: "five-bar-turret",
+        label: "five-bar-turret",
         joints: 3,
         task: 3,
         links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],

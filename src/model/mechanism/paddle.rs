@@ -17,6 +17,8 @@ pub struct Paddles<T, const N: usize> {
     inertias: [T; MAX_JOINTS],
     /// First moment of mass along each handle times gravity, N m.
     weights: [[T; 2]; MAX_JOINTS],
+    /// True if gravity acts on any paddle.
+    has_weight: bool,
 }
 
 /// One paddle.
@@ -31,7 +33,7 @@ pub type Paddles3<T> = Paddles<T, 3>;
 pub struct Pose<T: Real, const N: usize> {
     /// The handles' arc lengths, m.
     arcs: SVector<T, N>,
-    /// Sine and cosine of each angle.
+    /// Sine and cosine of each angle; unused without weight.
     directions: [(T, T); N],
 }
 
@@ -43,6 +45,7 @@ impl<T: Real, const N: usize> Paddles<T, N> {
             inverse_lengths: self.inverse_lengths.map(cast),
             inertias: self.inertias.map(cast),
             weights: self.weights.map(|weight| weight.map(cast)),
+            has_weight: self.has_weight,
         }
     }
 }
@@ -50,6 +53,11 @@ impl<T: Real, const N: usize> Paddles<T, N> {
 impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
     const SPEC: Spec = Spec {
         name: if N == 1 { "paddle" } else { "paddles" },
+        label: match N {
+            1 => "paddle",
+            2 => "paddles-2",
+            _ => "paddles-3",
+        },
         joints: N,
         task: N,
         links: match N {
@@ -73,7 +81,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
             return Err(DescriptionError::WrongKind);
         }
         let zero = [T::zero(); MAX_JOINTS];
-        let mut paddles = Self { lengths: zero, inverse_lengths: zero, inertias: zero, weights: [[T::zero(); 2]; MAX_JOINTS] };
+        let mut paddles = Self {
+            lengths: zero,
+            inverse_lengths: zero,
+            inertias: zero,
+            weights: [[T::zero(); 2]; MAX_JOINTS],
+            has_weight: false,
+        };
         let [gx, gy, _] = description.gravity;
         for (i, (joint, link)) in description.joints.iter().zip(&description.links).enumerate().take(N) {
             let length = description.geometry[i];
@@ -89,6 +103,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
             paddles.inverse_lengths[i] = T::from_f64(1.0 / length);
             paddles.inertias[i] = T::from_f64(inertia);
             let moment = link.mass * link.com + handle * length;
+            paddles.has_weight |= moment * gx != 0.0 || moment * gy != 0.0;
             paddles.weights[i] = [T::from_f64(moment * gx), T::from_f64(moment * gy)];
         }
         Ok(paddles)
@@ -96,10 +111,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
 
     #[inline(always)]
     fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; N]) -> Pose<T, N> {
-        Pose {
-            arcs: SVector::from_fn(|i, _| self.lengths[i] * q[i].radians),
-            directions: q.map(|angle| K::sin_cos_of(angle)),
+        let mut directions = [(T::zero(), T::zero()); N];
+        if self.has_weight {
+            for (direction, angle) in directions.iter_mut().zip(q) {
+                *direction = K::sin_cos_of(*angle);
+            }
         }
+        Pose { arcs: SVector::from_fn(|i, _| self.lengths[i] * q[i].radians), directions }
     }
     #[inline(always)]
     fn tip(&self, pose: &Pose<T, N>) -> SVector<T, N> {
@@ -150,6 +168,9 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
         let e = self.inverse(pose, n);
         let me = SVector::from_fn(|i, _| self.inertias[i] * e[i]);
         Shaping { e, me, w_rr: e.dot(&me) }
+    }
+    fn repeats(&self, _: usize) -> bool {
+        false
     }
     fn shape(&self, _: &SVector<T, N>) -> [T; 2] {
         [T::zero(); 2]

@@ -147,6 +147,7 @@ impl<T: Real> Parallelogram<T> {
 impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     const SPEC: Spec = Spec {
         name: "parallelogram",
+        label: "parallelogram",
         joints: 3,
         task: 3,
         links: &["upper", "fore", "crank", "coupler"],

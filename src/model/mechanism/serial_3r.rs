@@ -129,6 +129,7 @@ impl<T: Real> Serial3r<T> {
 impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     const SPEC: Spec = Spec {
         name: "serial-3r",
+        label: "serial-3r",
         joints: 3,
         task: 2,
         links: &["link-1", "link-2", "link-3"],

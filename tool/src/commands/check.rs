@@ -179,9 +179,10 @@ fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture
 
 fn readable(report: &Report, tip: &str) -> String {
     let mut text = format!(
-        "{}: sound: {}, a {} of {} and {}\n",
+        "{}: sound: {}, {}{} of {} and {}\n",
         report.path,
         report.name,
+        if report.mechanism == "paddles" { "" } else { "a " },
         report.mechanism,
         counted(report.joints, "joint"),
         counted(report.task, "task direction"),

@@ -53,7 +53,7 @@ impl ValueEnum for FileKind {
     }
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(PossibleValue::new(match self {
-            Self::Device(kind) => kind.spec().name,
+            Self::Device(kind) => kind.spec().label,
             Self::Scene => "scene",
         }))
     }
@@ -64,7 +64,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         FileKind::Device(_) if args.device.is_some() => {
             return Err(Failure::wrong("--device is for a scene").remedy("write: haptic new scene --device FILE"));
         }
-        FileKind::Device(kind) => (device_text(kind, &args)?, format!("an example {} to fill in", kind.spec().name)),
+        FileKind::Device(kind) => (device_text(kind, &args)?, format!("an example {} to fill in", kind.spec().label)),
         FileKind::Scene => {
             let file = match &args.device {
                 Some(path) => DeviceFile::load(path)?,

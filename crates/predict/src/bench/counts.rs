@@ -45,7 +45,7 @@ mod tests {
                 };
                 for model in models {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
-                        let name = mechanism.spec().name;
+                        let name = mechanism.spec().label;
                         let result = instructions(name, trigonometry, model, terms);
                         assert!(result.is_some(), "{name}/{trigonometry}/{model}/{terms}");
                     }
@@ -53,8 +53,8 @@ mod tests {
             }
             for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
                 let terms = format!("feed-forward, {estimator}");
-                let result = instructions(mechanism.spec().name, "table", "exact", &terms);
-                assert!(result.is_some(), "{}, {estimator}", mechanism.spec().name);
+                let result = instructions(mechanism.spec().label, "table", "exact", &terms);
+                assert!(result.is_some(), "{}, {estimator}", mechanism.spec().label);
             }
         }
     }

@@ -5,11 +5,11 @@ use crate::bench::error::{
     ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
     errors, with_trigonometry,
 };
-use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Math;
-use haptic_bridge::model::catalogue::{Kind, MAX_JOINTS};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
@@ -24,22 +24,21 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Returns the example device of a mechanism. The image that counts instructions uses the same devices.
-fn example_of(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Paddle => shipped::HAPKIT_PADDLE,
-        Kind::FiveBar => shipped::HAPLY_2DIY,
-        Kind::FiveBarTurret => shipped::FICTIVE_FIVE_BAR_TURRET,
-        Kind::Parallelogram => shipped::PHANTOM_PREMIUM,
-        Kind::Serial3r => shipped::SERIAL_3R,
-        Kind::Delta => shipped::FALCON_LIKE,
-    }
-}
+/// Devices of the report, one for each mechanism whose control step is counted. The image that counts instructions uses
+/// the same devices.
+const EXAMPLES: [&str; 6] = [
+    shipped::HAPKIT_PADDLE,
+    shipped::HAPLY_2DIY,
+    shipped::FICTIVE_FIVE_BAR_TURRET,
+    shipped::PHANTOM_PREMIUM,
+    shipped::SERIAL_3R,
+    shipped::FALCON_LIKE,
+];
 
 /// Returns the devices of the report.
 pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
     let read = |text| DeviceFile::parse(text, "a shipped device")?.device().map_err(Failure::wrong);
-    Kind::ALL.iter().map(|kind| read(example_of(*kind))).collect()
+    EXAMPLES.into_iter().map(read).collect()
 }
 
 /// Cost and error of one variant on one target.
@@ -91,10 +90,10 @@ fn law(device: &Device<f64>) -> Result<Law, Failure> {
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
-    let (points, range) = (max_grid_points(device), range(device, &probes));
+    let (points, range) = (max_grid_points(device), shape_range(device, &probes));
     let mut models = vec![PrecomputedModel::default(), frozen_model(device, &probes)];
-    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
     let trigonometries = [
         (Trigonometry::Tabulated, "table"),

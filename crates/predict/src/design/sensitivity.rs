@@ -51,7 +51,9 @@ type Change = Box<dyn Fn(&mut Description, f64)>;
 /// Returns the links that scale with an entry of a mechanism's geometry.
 fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
     let of_each: &[&[usize]] = match kind {
-        Kind::Paddle => &[],
+        // A chain's links do not scale with its tip.
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => &[],
+        Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => &[&[0], &[1], &[2]],
         Kind::FiveBar | Kind::FiveBarTurret => &[&[], &[0], &[1], &[2], &[3]],
         // The coupler has the length of the upper arm.
         Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
@@ -90,7 +92,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     for (key, count) in spec.geometry {
         for i in 0..*count {
             let at = entry + i;
-            if !["assembly", "azimuth"].contains(key) {
+            if !["assembly", "azimuth", "task"].contains(key) {
                 let name = if *count > 1 { format!("{key}[{i}]") } else { (*key).to_string() };
                 let kind = description.kind;
                 let stretched = links_of(kind, at);
@@ -119,7 +121,15 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
             }
         };
         add("mass", link.mass > 0.0, Box::new(move |d, factor| d.links[i].mass *= factor));
-        add("centre of mass", link.mass > 0.0 && link.com != 0.0, Box::new(move |d, factor| d.links[i].com *= factor));
+        let is_offset = link.com_vector() != [0.0; 3];
+        add(
+            "centre of mass",
+            link.mass > 0.0 && is_offset,
+            Box::new(move |d, factor| {
+                d.links[i].com *= factor;
+                d.links[i].com_across = d.links[i].com_across.map(|across| across * factor);
+            }),
+        );
         add(
             "inertia",
             link.inertia > 0.0,
@@ -127,6 +137,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
                 d.links[i].inertia *= factor;
                 d.links[i].inertia_axial *= factor;
                 d.links[i].inertia_transverse *= factor;
+                d.links[i].inertia_products = d.links[i].inertia_products.map(|product| product * factor);
             }),
         );
         if link.mass > 0.0 && link.com != 0.0 {

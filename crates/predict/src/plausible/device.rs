@@ -14,7 +14,7 @@ use haptic_host::device_file::{DeviceFile, includes_body_inertia};
 use haptic_host::words::{digits, listed, with_unit};
 use haptic_sim::PowerStage;
 use haptic_stability::analysis::pose::TaskPose;
-use nalgebra::{DMatrix, DVector, SVector};
+use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 /// Density of steel, kg/m³.
 const STEEL_DENSITY: f64 = 7850.0;
@@ -51,7 +51,7 @@ pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
     for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
         let place = format!("[[link]] {index} ({})", spec.links[index]);
-        warnings.extend(link_warnings(link, index, &place, longest, heaviest));
+        warnings.extend(link_warnings(link, spec.name == "chain", index, &place, longest, heaviest));
     }
     if description.handle_mass > heaviest {
         warnings.push(mass_warning(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
@@ -91,13 +91,20 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
 }
 
 fn longest_length(description: &Description) -> f64 {
-    named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
+    let of_chain = |at: [f64; 3]| Vector3::from(at).norm();
+    let [x, y, z, ..] = description.geometry;
+    match description.kind {
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => {
+            description.joints.iter().map(|joint| of_chain(joint.frame.origin)).fold(of_chain([x, y, z]).max(0.1), f64::max)
+        }
+        _ => named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max),
+    }
 }
 
-/// Returns the lengths of the geometry with their keys, without `assembly` and `azimuth`.
+/// Returns the lengths of the geometry with their keys. A chain's tip may have any coordinates.
 fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
     let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
-    keys.zip(description.geometry).filter(|(key, _)| !["assembly", "azimuth"].contains(key))
+    keys.zip(description.geometry).filter(|(key, _)| !["assembly", "azimuth", "tip", "task"].contains(key))
 }
 
 fn length_warnings(description: &Description) -> Vec<FileWarning> {
@@ -132,25 +139,34 @@ fn mass_warning(at: Key, place: &str, mass: f64, heaviest: f64) -> FileWarning {
 }
 
 /// Warns of values that no body of this mass and length has.
-fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<FileWarning> {
+fn link_warnings(
+    link: &Link,
+    is_chain: bool,
+    index: usize,
+    place: &str,
+    longest: f64,
+    heaviest: f64,
+) -> Vec<FileWarning> {
     let at = |name| key("link", Some(index), "", name);
     let mut warnings = Vec::new();
     if link.mass > heaviest {
         warnings.push(mass_warning(at("mass"), place, link.mass, heaviest));
     }
-    if link.com.abs() > 2.0 * longest {
+    let com = Vector3::from(link.com_vector()).norm();
+    if com > 2.0 * longest {
         let text = format!(
-            "the centre of mass of {place} lies {} m from its joint, and the longest link has {longest} m: lengths are \
-             in metres",
-            link.com
+            "the centre of mass of {place} lies {com} m from its joint, and the longest link has {longest} m: lengths are \
+             in metres"
         );
         warnings.push(FileWarning::new(at("com"), text));
     }
+    // A chain's link may lie along any axis, so the mean of its two largest principal inertias is judged.
+    let inertia = if is_chain { 0.5 * link.tensor().trace() } else { link.inertia };
     // A link with an inertia of zero is a point mass.
-    if link.mass == 0.0 || link.inertia == 0.0 {
+    if link.mass == 0.0 || inertia == 0.0 {
         return warnings;
     }
-    let gyration = (link.inertia / link.mass).sqrt();
+    let gyration = (inertia / link.mass).sqrt();
     // A solid ball is the most compact body of its mass.
     let ball = (3.0 * link.mass / (4.0 * PI * STEEL_DENSITY)).cbrt() * 0.4_f64.sqrt();
     if gyration > longest || gyration < ball {
@@ -164,7 +180,7 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
         let text = format!(
             "`inertia` of {place} is {} kg m² for {}: {bound}; it is taken about the centre of mass, in kg m² \
              (1 g cm² is 1e-7)",
-            digits(link.inertia),
+            digits(inertia),
             with_unit(link.mass, "kg")
         );
         warnings.push(FileWarning::new(at("inertia"), text));
@@ -172,7 +188,7 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
     // No body has an inertia that exceeds the sum of the inertias about the two perpendicular axes.
     let three = [link.inertia, link.inertia_axial, link.inertia_transverse];
     let sum: f64 = three.iter().sum();
-    if three.iter().any(|one| *one > 1.01 * (sum - one)) {
+    if !is_chain && three.iter().any(|one| *one > 1.01 * (sum - one)) {
         let text = format!(
             "the three inertias of {place} ({}, axial {}, transverse {}) fit no body: one exceeds the sum of the \
              other two",

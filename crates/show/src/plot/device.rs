@@ -133,7 +133,12 @@ fn mechanism_notes(description: &Description) -> Vec<String> {
     let dotted = if limited { "; dotted arcs: limits" } else { "" };
     let angles = format!("angles count from the dashed line (zero) and grow counter-clockwise{dotted}");
     match description.kind {
-        Kind::Paddle => vec![angles, "the task coordinate is length × angle, along the arc".into()],
+        Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => {
+            vec![angles, "the task coordinate is length × angle, along the arc".into()]
+        }
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => {
+            vec!["joint frames and axes as in the device file; drawn along the task's coordinates".into()]
+        }
         Kind::FiveBar => vec![angles, assembly],
         Kind::FiveBarTurret => vec![
             angles,

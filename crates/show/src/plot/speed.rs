@@ -28,7 +28,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             })
             .collect();
         front.sort_by(|a, b| a.0.total_cmp(&b.0));
-        (device.mechanism.kind().spec().name, front)
+        (device.mechanism.kind().spec().label, front)
     });
     let fronts: Vec<_> = fronts.filter(|(_, front)| !front.is_empty()).collect();
     let rows = fronts.len().div_ceil(COLUMNS) as f64;

@@ -196,10 +196,12 @@ pub fn climb(
     step: f64,
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
-    // The angles of a non-periodic mechanism, such as a paddle on its arc, end where the grid ends.
-    let periodic = device.mechanism.kind().spec().periodic;
+    // The coordinates of a joint that does not repeat, such as a paddle's, end where the grid ends.
+    let beyond = |(joint, angle): (usize, &f64)| {
+        !device.mechanism.repeats(joint) && angle.abs() > std::f64::consts::PI
+    };
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
-        if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
+        if q.iter().enumerate().any(beyond) {
             return Ok(None);
         }
         let Some(side) = side(device, q, 1e-3)? else { return Ok(None) };
@@ -256,6 +258,7 @@ impl Reachable {
         let mut axes = Vec::new();
         let mut wraps = Vec::new();
         for joint in 0..spec.joints {
+            let repeats = device.mechanism.repeats(joint);
             match (held, device.joints[joint].limits) {
                 (Some(FixedCoordinate::Joint(at, angle)), _) if at == joint => {
                     axes.push(vec![angle]);
@@ -265,7 +268,7 @@ impl Reachable {
                     axes.push(vec![0.0]);
                     wraps.push(false);
                 }
-                (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
+                (_, Some((low, high))) if repeats && high - low > std::f64::consts::TAU => {
                     // Angles beyond a turn add no pose. With at least two turns the grid closes on itself.
                     let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
                     let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
@@ -282,7 +285,7 @@ impl Reachable {
                     // A full turn is divided into cells so that -π does not appear twice.
                     let step = std::f64::consts::TAU / per_joint as f64;
                     axes.push((0..per_joint).map(|i| -std::f64::consts::PI + (i as f64 + 0.5) * step).collect());
-                    wraps.push(spec.periodic && per_joint > 2);
+                    wraps.push(repeats && per_joint > 2);
                 }
             }
         }
@@ -291,6 +294,7 @@ impl Reachable {
         Ok(grid)
     }
 
+    /// Marks the points that paths from home reach without crossing a singularity.
     fn flood(&mut self, device: &Device<f64>) -> Result<(), PoseError> {
         let count: usize = self.axes.iter().map(Vec::len).product();
         let sides: Vec<Option<bool>> =

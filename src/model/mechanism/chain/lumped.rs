@@ -134,7 +134,9 @@ fn joints<const N: usize>(bodies: &[Body; N]) -> [ChainJoint<f64>; MAX_JOINTS] {
             prismatic: body.prismatic,
             moment: body.frame.tr_mul(&moment).into(),
             mass: body.mass + later_mass,
-            turn: (0.0, 1.0),
+            turns: if body.prismatic { 0.0 } else { 1.0 },
+            slides: if body.prismatic { 1.0 } else { 0.0 },
+            angle_mask: if body.prismatic { 0 } else { u32::MAX },
             ..ChainJoint::default()
         };
         if i > 0 {
@@ -142,7 +144,6 @@ fn joints<const N: usize>(bodies: &[Body; N]) -> [ChainJoint<f64>; MAX_JOINTS] {
             let relative = before.frame.tr_mul(&body.frame);
             // x of the joint's frame is x of the link before, so the rest of the rotation is the joint's offset.
             let offset = libm::atan2(-relative[(0, 1)], relative[(0, 0)]);
-            joints[i].turn = libm::sincos(offset);
             (joints[i].offset, joints[i].binary_offset) = (offset, BinaryAngle::from_radians(offset).0);
             let (y, z) = (before.frame.column(1).into_owned(), body.frame.column(2).into_owned());
             (joints[i].cosine, joints[i].sine) = (relative[(2, 2)], -y.dot(&z));
@@ -174,7 +175,7 @@ fn largest_determinant<const N: usize>(
         });
         let pose = chain.pose_at::<Libm>(&angles);
         largest = largest.max(pose.determinant.abs());
-        levers = levers.max(pose.lever.iter().map(norm).product());
+        levers = levers.max(pose.levers.iter().map(norm).product());
     }
     // Written so that NaN is an error.
     if largest > LEAST_DETERMINANT * levers { Ok(largest) } else { Err(DescriptionError::Task) }
@@ -263,8 +264,8 @@ fn mass_at<const N: usize>(chain: &Chain<f64, N>, bodies: &[Body; N], q: &[f64; 
             }
             if i > 0 {
                 let joint = &chain.joints[i];
-                let (sine, cosine) = if joint.prismatic { joint.turn } else { libm::sincos(q[i] + joint.offset) };
-                let lift = if joint.prismatic { q[i] } else { 0.0 };
+                let (sine, cosine) = libm::sincos(q[i] * joint.turns + joint.offset);
+                let lift = q[i] * joint.slides;
                 let moved = about_z(&place, cosine, sine) + Vector3::new(0.0, 0.0, lift);
                 place = about_x(&moved, joint.cosine, joint.sine) + Vector3::from(joint.origin);
                 let columns = [Vector3::x(), Vector3::y(), Vector3::z()];
