@@ -20,12 +20,13 @@ fn nearly_equal(counted: &[f64], shipped: &[f64]) -> bool {
 
 #[test]
 fn the_counted_devices_are_the_shipped_devices() {
-    let counted: [(&str, Description); 5] = [
+    let counted: [(&str, Description); 6] = [
         ("hapkit-paddle", devices::PADDLE),
         ("haply-2diy", devices::FIVE_BAR),
         ("fictive-five-bar-turret", devices::FIVE_BAR_TURRET),
         ("phantom-premium-1.5", devices::PARALLELOGRAM),
         ("serial-3r", devices::SERIAL_3R),
+        ("falcon-like", devices::DELTA),
     ];
     for (name, counted) in counted {
         let shipped = device_file::shipped_device(name);

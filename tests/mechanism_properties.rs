@@ -373,7 +373,7 @@ fn check_board(kind: Kind, numbers: &[f64]) -> TestResult {
             }
         };
     }
-    pair!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r Paddles2 Paddles3 Chain1 Chain2 Chain3)
+    pair!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r Paddles2 Paddles3 Chain1 Chain2 Chain3 Delta)
 }
 
 macro_rules! properties {
@@ -405,9 +405,10 @@ properties! {
     Chain1: a_chain_of_one_obeys_mechanics a_chain_of_one_keeps_four_digits_on_the_board;
     Chain2: a_chain_of_two_obeys_mechanics a_chain_of_two_keeps_four_digits_on_the_board;
     Chain3: a_chain_of_three_obeys_mechanics a_chain_of_three_keeps_four_digits_on_the_board;
+    Delta: a_delta_obeys_mechanics a_delta_keeps_four_digits_on_the_board;
 }
 
 #[test]
 fn every_mechanism_is_listed_in_properties() {
-    assert_eq!(Kind::ALL.len(), 10, "a new mechanism needs its line in `properties!`");
+    assert_eq!(Kind::ALL.len(), 11, "a new mechanism needs its line in `properties!`");
 }

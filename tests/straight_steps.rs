@@ -283,6 +283,7 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         (Kind::FiveBarTurret, true),
         (Kind::Parallelogram, true),
         (Kind::Serial3r, true),
+        (Kind::Delta, true),
     ] {
         let mut coverage = Coverage::default();
         // Devices with two joints have their own straight steps, so more cases are drawn.

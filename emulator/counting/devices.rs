@@ -1,6 +1,7 @@
 //! Devices of the counting image, one shipped device per mechanism. The image has no TOML reader, so the numbers of the
 //! device files are repeated here. tests/counted_devices.rs compares both.
 
+use core::f64::consts::TAU;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link, MAX_MODES};
@@ -118,4 +119,24 @@ pub const SERIAL_3R: Description = Description {
     ],
     handle_mass: 0.03,
     home: Some([0.3, 1.2, 0.8]),
+};
+
+/// The device of `devices/falcon-like.toml`.
+pub const DELTA: Description = Description {
+    kind: Kind::Delta,
+    gravity: [0.0, -9.81, 0.0],
+    geometry: [0.0372, 0.0144, 0.06, 0.125, 0.0, TAU / 3.0, 2.0 * TAU / 3.0, 1.0],
+    links: [
+        link(0.03, 0.028, 1.2e-5, 0.0, 1.2e-5),
+        link(0.004, 0.0, 0.0, 0.0, 0.0),
+        link(0.04, 0.0, 0.0, 0.0, 0.0),
+        NO_LINK,
+    ],
+    joints: [
+        joint(4.65e-5, 0.0002, 0.003, 9753.6),
+        joint(4.65e-5, 0.0002, 0.003, 9753.6),
+        joint(4.65e-5, 0.0002, 0.003, 9753.6),
+    ],
+    handle_mass: 0.02,
+    home: Some([0.6108652381980153; 3]),
 };

@@ -108,9 +108,14 @@ extern "C" fn run() -> ! {
     set_name("empty");
     bench_begin();
     bench_end();
-    for description in
-        [devices::PADDLE, devices::FIVE_BAR, devices::FIVE_BAR_TURRET, devices::PARALLELOGRAM, devices::SERIAL_3R]
-    {
+    for description in [
+        devices::PADDLE,
+        devices::FIVE_BAR,
+        devices::FIVE_BAR_TURRET,
+        devices::PARALLELOGRAM,
+        devices::SERIAL_3R,
+        devices::DELTA,
+    ] {
         let Ok(device) = Device::<f32>::new("bench", &description) else { panic!() };
         count_with_every_math(&device, &description);
     }

@@ -12,8 +12,8 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, JointFrame, Link, MAX_MODES, Stribeck, StructuralMode,
-    Transmission,
+    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, JointFrame, Link, MAX_MODES, Stribeck,
+    StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
@@ -209,6 +209,15 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     table.refuse_unknown_keys(&known);
     let mut flat = Vec::with_capacity(MAX_GEOMETRY);
     for (key, count) in spec.geometry {
+        let default: &[f64] = match *key {
+            "azimuth" => &[0.0, TAU / 3.0, 2.0 * TAU / 3.0],
+            "assembly" if spec.name == "delta" => &[1.0],
+            _ => &[],
+        };
+        if !default.is_empty() && !table.has(key) {
+            flat.extend(default);
+            continue;
+        }
         if *key == "task" {
             flat.extend(table.keep(task(table, *count), vec![f64::NAN; *count]));
             continue;
@@ -252,6 +261,13 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
         let table = table.with_place(format!("[[link]] {index} ({name})"));
+        // A delta's rods are slender and uniform, and its platform does not turn.
+        if spec.name == "delta" && index > 0 {
+            table.refuse_unknown_keys(&["mass"]);
+            let mass = table.required_number("mass", Must::NotBeNegative, "mass = 0.02");
+            links[index] = Link { mass, ..Link::default() };
+            continue;
+        }
         if spec.name == "chain" {
             links[index] = spatial_link(&table);
             continue;
@@ -342,18 +358,8 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
 fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
     let is_chain = spec.name == "chain";
     let of_chain = ["type", "origin", "rpy", "axis"];
-    let of_all = [
-        "inertia",
-        "viscous",
-        "coulomb",
-        "limits",
-        "encoder",
-        "motor",
-        "transmission",
-        "friction",
-        "cogging",
-        "mode",
-    ];
+    let of_all =
+        ["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission", "friction", "cogging", "mode"];
     table.refuse_unknown_keys(&[&of_all[..], if is_chain { &of_chain } else { &[] }].concat());
     let types = [("revolute", false), ("prismatic", true)];
     let prismatic = is_chain && table.keep(table.word("type", &types), None).unwrap_or(false);
@@ -592,19 +598,24 @@ fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<
             geometry.error_at_element(key, element, impossible(reason, "write the length in metres"))
         }
         DescriptionError::Assembly => {
-            geometry.error_at("assembly", problem("write 1 if the tip is left of the line from C to D, otherwise -1"))
+            geometry.error_at("assembly", problem("write 1 or -1, the side of the tip (docs/model.md section 1)"))
         }
         DescriptionError::CannotClose => {
             geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))
         }
         DescriptionError::Axis(joint) => match top.tables("joint") {
-            Ok(joints) if joints.len() > joint => joints[joint].error_at("axis", problem("write axis = [0.0, 0.0, 1.0]")),
+            Ok(joints) if joints.len() > joint => {
+                joints[joint].error_at("axis", problem("write axis = [0.0, 0.0, 1.0]"))
+            }
             _ => top.error_here(problem("write axis = [0.0, 0.0, 1.0]")),
         },
-        DescriptionError::Task => {
-            geometry.error_at("task", problem("choose the coordinates along which the joints move the tip; \"arc\" is for \
-                one revolute joint"))
-        }
+        DescriptionError::Task => geometry.error_at(
+            "task",
+            problem(
+                "choose the coordinates along which the joints move the tip; \"arc\" is for \
+                one revolute joint",
+            ),
+        ),
         DescriptionError::NoInertia => match top.tables("joint") {
             Ok(joints) if !joints.is_empty() => {
                 joints[0].error_at("inertia", problem("write the reflected rotor inertia in kg m²"))

@@ -29,6 +29,8 @@ impl Axes {
             Kind::Parallelogram => Self([x, back(z), y]),
             // The motors are on the far side from the operator, and y points to the operator.
             Kind::FiveBarTurret => Self([y, back(x), z]),
+            // The motors are on a vertical plate, and the tip is in front of it, as on a Falcon or an omega.
+            Kind::Delta => Self([z, x, y]),
         }
     }
 

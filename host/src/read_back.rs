@@ -343,14 +343,20 @@ fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
 fn unit(coefficient: &str) -> &'static str {
     let name = coefficient.trim_start_matches("plane.").split('.').next().unwrap_or_default();
     match name {
-        "arc" | "tip" | "origin" | "length" | "lengths" | "base" | "proximal" | "axis_floor" => "m",
+        "arc" | "tip" | "origin" | "length" | "lengths" | "base" | "proximal" | "axis_floor" | "offset" | "upper" => {
+            "m"
+        }
         "inverse_length" | "inverse_lengths" | "reach_scale" => "1/m",
-        "reach" | "distal_difference" | "elbow_floor" | "rods_floor" => "m²",
-        "elbow_scale" | "rods_scale" => "1/m²",
+        "reach" | "distal_difference" | "elbow_floor" | "rods_floor" | "leg_floor" | "fore_squared" => "m²",
+        "elbow_scale" | "rods_scale" | "leg_scale" => "1/m²",
+        "volume_floor" => "m³",
+        "volume_scale" => "1/m³",
+        "triangle_floor" => "m⁴",
         "inertias" | "inertia" | "arm_inertia" | "turret_inertia" | "coupling" | "spin" | "rotor" => "kg m²",
         "rod_coupling" | "tip_mass" | "elbow_load" | "tip_load" | "elbow_spin" | "coupled_spin" | "tip_spin" => "kg",
         "loads" => "kg m",
         "weight" | "weights" => "N m",
+        "elbow_weights" | "tip_weight" => "N",
         "gravity" | "gravity_z" => "m/s²",
         _ => "",
     }

@@ -43,6 +43,7 @@ macro_rules! mechanisms {
             (Chain1, chain, 1)
             (Chain2, chain, 2)
             (Chain3, chain, 3)
+            (Delta, delta, 3)
         }
     };
 }

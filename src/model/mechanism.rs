@@ -9,6 +9,7 @@
 //! other motion is E = J⁻¹ n (docs/model.md section 2). Rendered directions have zeros beyond `d`.
 
 mod chain;
+mod delta;
 mod five_bar;
 mod five_bar_turret;
 mod paddle;

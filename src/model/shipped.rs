@@ -11,6 +11,8 @@ pub const HAPLY_2DIY: &str = include_str!("../../devices/haply-2diy.toml");
 pub const FICTIVE_FIVE_BAR_TURRET: &str = include_str!("../../devices/fictive-five-bar-turret.toml");
 /// A parallelogram arm on a turret.
 pub const PHANTOM_PREMIUM: &str = include_str!("../../devices/phantom-premium-1.5.toml");
+/// A delta.
+pub const FALCON_LIKE: &str = include_str!("../../devices/falcon-like.toml");
 /// A redundant arm.
 pub const SERIAL_3R: &str = include_str!("../../devices/serial-3r.toml");
 /// A five-bar (Campion, Wang and Hayward 2005).

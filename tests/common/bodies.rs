@@ -48,6 +48,42 @@ fn place_chain(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     (bodies, task)
 }
 
+/// Returns the arms, rods and platform of a delta, and its tip.
+fn place_delta(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
+    let [base, platform, upper, fore, azimuths @ .., assembly] = device.geometry;
+    let [arm, rod, end, ..] = device.links;
+    let up = Vector3::z();
+    let outward = azimuths.map(|azimuth| Vector3::new(azimuth.cos(), azimuth.sin(), 0.0));
+    let direction = |i: usize| outward[i] * q[i].cos() + up * q[i].sin();
+    let elbow = |i: usize| outward[i] * base + direction(i) * upper;
+    // The tip is at the distance of a rod from three points: trilateration in the frame of the triangle.
+    let [c0, c1, c2] = [0, 1, 2].map(|i| elbow(i) - outward[i] * platform);
+    let (side1, side2) = (c1 - c0, c2 - c0);
+    let x_axis = side1.normalize();
+    let y_axis = (side2 - x_axis * x_axis.dot(&side2)).normalize();
+    let x = side1.norm() / 2.0;
+    let y = (side2.norm_squared() / 2.0 - x * x_axis.dot(&side2)) / y_axis.dot(&side2);
+    let z = assembly * (fore * fore - x * x - y * y).sqrt();
+    let tip = c0 + x_axis * x + y_axis * y + x_axis.cross(&y_axis) * z;
+    let mut bodies = vec![point_mass(end.mass + device.handle_mass, tip)];
+    for i in 0..3 {
+        let across = up * q[i].cos() - outward[i] * q[i].sin();
+        let axes = Matrix3::from_columns(&[direction(i), across, outward[i].cross(&up)]);
+        bodies.push(Body {
+            mass: arm.mass,
+            com: outward[i] * base + direction(i) * arm.com,
+            axes,
+            inertia: arm.tensor(),
+        });
+        // Simpson's rule is exact for the energy of two slender rods.
+        let (from, to) = (elbow(i), tip + outward[i] * platform);
+        for (share, place) in [(1.0 / 6.0, from), (2.0 / 3.0, (from + to) / 2.0), (1.0 / 6.0, to)] {
+            bodies.push(point_mass(2.0 * rod.mass * share, place));
+        }
+    }
+    (bodies, tip)
+}
+
 /// Returns the bodies of a device at joint angles `q` and its task position (φ last on the redundant arm).
 pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     let g = device.geometry;
@@ -59,6 +95,7 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
     let mut phi = 0.0;
     let (links, tip) = match device.kind {
         Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => return place_chain(device, q),
+        Kind::Delta => return place_delta(device, q),
         Kind::Paddle | Kind::Paddles2 | Kind::Paddles3 => {
             let mut tip = Vector3::zeros();
             tip.iter_mut().zip(q).zip(&g).for_each(|((arc, q), length)| *arc = length * q);

@@ -4,6 +4,7 @@
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, JointFrame, Link, Transmission};
 use haptic_bridge::model::motor::Motor;
+use std::f64::consts::TAU;
 use toml::{Table, Value};
 
 pub fn shipped_device(name: &str) -> Description {
@@ -14,7 +15,10 @@ pub fn shipped_device(name: &str) -> Description {
 /// Reads a device from the text of a file. Panics at an unknown key.
 pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
-    assert_known_keys(&file, &["name", "mechanism", "gravity", "supply", "geometry", "link", "joint", "handle", "home"]);
+    assert_known_keys(
+        &file,
+        &["name", "mechanism", "gravity", "supply", "geometry", "link", "joint", "handle", "home"],
+    );
     let (mechanism, joints) = (file["mechanism"].as_str(), tables(&file, "joint").count());
     let is_kind = |kind: &&Kind| Some(kind.spec().name) == mechanism && kind.spec().joints == joints;
     let kind = *Kind::ALL.iter().find(is_kind).expect("a mechanism");
@@ -25,7 +29,11 @@ pub fn parse(text: &str) -> Description {
     Description {
         kind,
         gravity: to_array(numbers(&file["gravity"])),
-        geometry: to_array(keys.iter().flat_map(|key| coordinates(&geometry[*key]))),
+        geometry: to_array(keys.iter().flat_map(|key| match (geometry.get(*key), *key) {
+            (None, "azimuth") => vec![0.0, TAU / 3.0, 2.0 * TAU / 3.0],
+            (None, "assembly") if kind == Kind::Delta => vec![1.0],
+            (value, key) => coordinates(value.expect(key)),
+        })),
         links: to_array(tables(&file, "link").map(link)),
         joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
@@ -97,7 +105,7 @@ fn transmission(table: &Table, joint: &Table) -> Transmission {
 
 fn encoder(table: &Table) -> Encoder {
     assert_known_keys(table, &["counts_per_turn", "counts_per_metre", "offset", "inverted"]);
-    let counts_per_metre = number(table, "counts_per_metre").map(|counts| counts * std::f64::consts::TAU);
+    let counts_per_metre = number(table, "counts_per_metre").map(|counts| counts * TAU);
     Encoder {
         counts_per_turn: number(table, "counts_per_turn").or(counts_per_metre).expect("counts"),
         offset: number(table, "offset").unwrap_or(0.0),
@@ -108,7 +116,10 @@ fn encoder(table: &Table) -> Encoder {
 fn motor(table: &Table) -> Motor<f64> {
     let keys = ["torque_constant", "force_constant"];
     let torque_constant = keys.iter().find_map(|key| number(table, key)).expect("a torque constant");
-    assert_known_keys(table, &["torque_constant", "force_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    assert_known_keys(
+        table,
+        &["torque_constant", "force_constant", "resistance", "inductance", "back_emf", "max_current", "verified"],
+    );
     let [resistance, max_current] = ["resistance", "max_current"].map(|key| number(table, key).expect(key));
     Motor {
         torque_constant,
@@ -139,7 +150,8 @@ fn numbers(value: &Value) -> impl Iterator<Item = f64> {
 /// Returns the entries of a list of numbers or of task coordinates.
 fn coordinates(value: &Value) -> Vec<f64> {
     let words = value.as_array().and_then(|list| list.iter().map(Value::as_str).collect::<Option<Vec<_>>>());
-    let place = |word: &str| ["x", "y", "z", "arc"].iter().position(|known| *known == word).expect("a coordinate") as f64;
+    let place =
+        |word: &str| ["x", "y", "z", "arc"].iter().position(|known| *known == word).expect("a coordinate") as f64;
     words.map_or_else(|| numbers(value).collect(), |words| words.into_iter().map(place).collect())
 }
 

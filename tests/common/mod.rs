@@ -9,6 +9,7 @@ use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame,
 use haptic_bridge::render::scene::{FeedForward, Surface, Wall};
 use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
+use std::f64::consts::TAU;
 use std::hash::{BuildHasher, RandomState};
 
 /// Configures a property test with `cases` cases, which are the same in every run. With `HAPTIC_FRESH_SEEDS` the cases
@@ -113,6 +114,17 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
                 place(i, random_link(draw, reach));
             }
         }
+        Kind::Delta => {
+            let (base, platform, upper) = (draw.uniform(0.02, 0.1), draw.uniform(0.01, 0.05), length(draw));
+            let azimuth = |i: f64, draw: &mut TestNumbers<'_>| (i + draw.uniform(-0.15, 0.15)) * TAU / 3.0;
+            let azimuths = [azimuth(0.0, draw), azimuth(1.0, draw), azimuth(2.0, draw)];
+            geometry[..4].copy_from_slice(&[base, platform, upper, upper * draw.uniform(1.2, 2.5)]);
+            geometry[4..7].copy_from_slice(&azimuths);
+            geometry[7] = if draw.uniform(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
+            place(0, random_link(draw, upper));
+            place(1, Link { mass: draw.log_uniform(0.001, 0.05), ..Link::default() });
+            place(2, Link { mass: draw.log_uniform(0.005, 0.1), ..Link::default() });
+        }
         Kind::Serial3r => {
             for (i, arm) in geometry[..3].iter_mut().enumerate() {
                 *arm = length(draw);
@@ -126,7 +138,8 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
     for joint in &mut joints {
         joint.inertia = draw.log_uniform(1.0e-5, 1.0e-3);
         if kind.spec().name == "chain" {
-            joint.frame = JointFrame { origin: draw.list(-0.1, 0.1), rpy: draw.list(-3.0, 3.0), axis: draw.list(-1.0, 1.0) };
+            joint.frame =
+                JointFrame { origin: draw.list(-0.1, 0.1), rpy: draw.list(-3.0, 3.0), axis: draw.list(-1.0, 1.0) };
             joint.prismatic = draw.uniform(0.0, 1.0) < 0.25;
         }
     }
@@ -159,7 +172,7 @@ pub fn with_fine_encoders(mut device: Description) -> Description {
 
 /// Returns the counts of fine encoders at joint angles, rad.
 pub fn fine_counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
-    q.map(|angle| (angle / std::f64::consts::TAU * FINE_COUNTS).round() as i32).into()
+    q.map(|angle| (angle / TAU * FINE_COUNTS).round() as i32).into()
 }
 
 /// Returns a bilateral wall with the full feed-forward and without damping. The stiffness is in N/m.

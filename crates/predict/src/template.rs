@@ -71,7 +71,10 @@ fn example(kind: Kind) -> Example {
                 ("tip", "[0.1, 0.0, 0.0]", "m, in the last link's frame"),
                 ("task", "[\"x\", \"y\"]", "coordinates of the tip that walls act on, as many as joints"),
             ],
-            links: &[(0.06, 0.05, 6.0e-5, "from joint 0 towards joint 1"), (0.04, 0.05, 4.0e-5, "from joint 1 towards the tip")],
+            links: &[
+                (0.06, 0.05, 6.0e-5, "from joint 0 towards joint 1"),
+                (0.04, 0.05, 4.0e-5, "from joint 1 towards the tip"),
+            ],
             joints: &[(2.0e-5, [-1.0, 1.6], "rotor times the ratio squared"), (2.0e-5, [0.4, 2.6], "")],
             frames: &[("[0.0, 0.0, 0.0]", "[0.0, 0.0, 1.0]"), ("[0.12, 0.0, 0.0]", "[0.0, 0.0, 1.0]")],
             home: "[0.2, 1.4]",
@@ -186,6 +189,30 @@ fn example(kind: Kind) -> Example {
             frames: &[],
             home: "[0.3, 1.2, 0.8]",
         },
+        // Lengths and zero angles of a Falcon as libnifalcon's FalconGeometry.h has them: r, c, a and b + d + e, without
+        // the offsets s, f and of the rods' joints. Its counts per turn are 4 x 320 slots x 7.62. Masses and inertias
+        // are assumed.
+        Kind::Delta => Example {
+            about: "Falcon-like: three arms with a pair of rods each carry a platform that does not turn. Angle 0 points\n\
+                    # outwards, and angles grow towards +z, which points to the operator; y is up.",
+            gravity: "[0.0, -9.81, 0.0]      # x, y, z; y is up",
+            geometry: &[
+                ("base", "0.037", "from the z axis to every motor's axis"),
+                ("platform", "0.014", "from the platform's centre to the ends of the rods"),
+                ("upper", "0.06", "arm: motor to elbow"),
+                ("fore", "0.125", "rods: elbow to platform"),
+                ("azimuth", "[0.0, 2.0943951, 4.1887902]", "rad, of the legs about z; default these"),
+                ("assembly", "1", "1: tip on the side of (c1 - c0) x (c2 - c0), +z in this order; -1: other side"),
+            ],
+            links: &[(0.03, 0.03, 1.0e-5, FROM_MOTOR), (0.005, 0.0, 0.0, ""), (0.04, 0.0, 0.0, "")],
+            joints: &[
+                (5.0e-5, [-0.3, 1.4], "rotor times the ratio squared"),
+                (5.0e-5, [-0.3, 1.4], ""),
+                (5.0e-5, [-0.3, 1.4], ""),
+            ],
+            frames: &[],
+            home: "[0.6108652, 0.6108652, 0.6108652]",
+        },
     }
 }
 
@@ -202,7 +229,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
     let is_chain = spec.name == "chain";
-    let turret = spec.task == 3 && !is_chain;
+    let turret = spec.task == 3 && !is_chain && kind != Kind::Delta;
     let mut text = format!(
         "# {about}\n\
          # Every number here is an example: replace it with your device's value. SI units throughout (m, kg, s, N, rad).\n\
@@ -224,6 +251,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     for (index, ((mass, com, inertia, from), name)) in example.links.iter().zip(spec.links).enumerate() {
         let first = index == 0;
         line(&format!("\n[[link]]  # {index}: {name}\nmass"), number(*mass), if first { "kg" } else { "" });
+        if from.is_empty() {
+            continue;
+        }
         if is_chain {
             line("com", format!("[{}, 0.0, 0.0]", number(*com)), &format!("m, x, y, z of the centre of mass, {from}"));
             let (axial, across) = (number(0.05 * inertia), number(*inertia));
@@ -252,10 +282,18 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         let note = |comment: &'static str| if first { comment } else { "" };
         line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &with_prefix("kg m²", comment));
         if let Some((origin, axis)) = example.frames.get(index) {
-            line("origin", (*origin).into(), note("m, of the joint's frame in the frame of the link before; default zero"));
+            line(
+                "origin",
+                (*origin).into(),
+                note("m, of the joint's frame in the frame of the link before; default zero"),
+            );
             line("# rpy", "[0.0, 0.0, 0.0]".into(), note("rad, roll, pitch, yaw of the joint's frame; default zero"));
             line("axis", (*axis).into(), note("in the joint's frame; default z"));
-            line("# type", "\"prismatic\"".into(), note("for a slide, with counts_per_metre and force_constant; default revolute"));
+            line(
+                "# type",
+                "\"prismatic\"".into(),
+                note("for a slide, with counts_per_metre and force_constant; default revolute"),
+            );
         }
         line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
         line("coulomb", "2.0e-3".into(), note("N m, dry friction; default 0"));

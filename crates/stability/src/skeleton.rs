@@ -1,9 +1,12 @@
 //! Links and joints of a mechanism in the plane of its linkage, for drawings.
 //!
-//! Joint 0 of a device on a turret turns this plane. The plane's x and y are those at joint 0 = 0.
+//! Joint 0 of a device on a turret turns this plane. The plane's x and y are those at joint 0 = 0. A delta is seen along
+//! its z axis.
 
+use haptic_bridge::math::FineTable;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{Delta, Mechanism};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// A point in the linkage's plane, m.
@@ -88,19 +91,15 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
         Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
         Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
         Kind::Serial3r => Some(serial_arm(description, q)),
+        Kind::Delta => delta(description, q),
     }
 }
 
 /// Returns the paddles side by side. The tip is that of the first.
 fn paddles(description: &Description, q: &[f64]) -> Skeleton {
     let spec = description.kind.spec();
-    let mut paddles = Skeleton {
-        bars: Vec::new(),
-        angles: Vec::new(),
-        base: Vec::new(),
-        letters: Vec::new(),
-        tip: (0.0, 0.0),
-    };
+    let mut paddles =
+        Skeleton { bars: Vec::new(), angles: Vec::new(), base: Vec::new(), letters: Vec::new(), tip: (0.0, 0.0) };
     let longest = description.geometry.iter().fold(0.0_f64, |longest, length| longest.max(*length));
     for (joint, (length, q)) in description.geometry.iter().copied().zip(q).enumerate().take(spec.joints) {
         let pivot = (0.0, -2.0 * longest * joint as f64);
@@ -226,4 +225,29 @@ fn serial_arm(description: &Description, q: &[f64]) -> Skeleton {
         at = to;
     }
     Skeleton { bars, angles, base: vec![(0.0, 0.0)], letters: Vec::new(), tip: at }
+}
+
+/// Returns the legs and the platform as seen along z. A pair of rods is one bar.
+fn delta(description: &Description, q: &[f64]) -> Option<Skeleton> {
+    let mechanism = Delta::<f64>::new(description).ok()?;
+    let pose = mechanism.pose::<FineTable>(&Vector3::new(q[0], q[1], q[2]));
+    if mechanism.regularity(&pose).parallel == 0.0 {
+        return None;
+    }
+    let tip = mechanism.tip(&pose);
+    let tip = (tip[0], tip[1]);
+    let [base, platform, upper, fore, azimuths @ .., _] = description.geometry;
+    let (mut bars, mut motors) = (Vec::new(), Vec::new());
+    for (azimuth, q) in azimuths.into_iter().zip(q) {
+        let motor = point_at((0.0, 0.0), base, azimuth);
+        let elbow = point_at(motor, upper * q.cos(), azimuth);
+        let end = point_at(tip, platform, azimuth);
+        bars.extend([
+            Bar { name: "arm", from: motor, to: elbow, length: upper },
+            Bar { name: "rod", from: elbow, to: end, length: fore },
+            Bar { name: "platform", from: end, to: tip, length: platform },
+        ]);
+        motors.push(motor);
+    }
+    Some(Skeleton { bars, angles: Vec::new(), base: motors, letters: Vec::new(), tip })
 }

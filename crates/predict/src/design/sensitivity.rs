@@ -58,6 +58,7 @@ fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
         // The coupler has the length of the upper arm.
         Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
         Kind::Serial3r => &[&[0], &[1], &[2]],
+        Kind::Delta => &[&[], &[], &[0]],
     };
     of_each.get(entry).copied().unwrap_or_default()
 }

@@ -66,13 +66,21 @@ pub fn draw(
     };
     let mut notes: Vec<String> = mechanism_notes(description).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
+    // Links that are alike have one name.
+    let is_first = |i: usize| skeleton.bars[..i].iter().all(|bar| bar.name != skeleton.bars[i].name);
     let names: Vec<String> = match page.is_narrow() {
         // Short links have no room for their names.
         true => Vec::new(),
-        false => skeleton.bars.iter().map(in_full).collect(),
+        false => skeleton
+            .bars
+            .iter()
+            .enumerate()
+            .map(|(i, bar)| if is_first(i) { in_full(bar) } else { String::new() })
+            .collect(),
     };
     if page.is_narrow() {
-        notes.insert(0, skeleton.bars.iter().map(in_full).collect::<Vec<_>>().join("; "));
+        let first = skeleton.bars.iter().enumerate().filter(|(i, _)| is_first(*i));
+        notes.insert(0, first.map(|(_, bar)| in_full(bar)).collect::<Vec<_>>().join("; "));
     }
     let bottom = frame.at.1 + frame.size.1 + if paper.is_printed() { 46.0 } else { 68.0 };
     let notes = page.notes(notes.iter().map(String::as_str));
@@ -149,6 +157,12 @@ fn mechanism_notes(description: &Description) -> Vec<String> {
             angles,
             "each angle is measured from the previous link".into(),
             "pale area: with the last link in its direction at home".into(),
+        ],
+        Kind::Delta => vec![
+            "seen along z from the positive side; a line to the platform is a pair of rods".into(),
+            "angles count from pointing outwards and grow towards +z; joint 0's arm is at azimuth[0]".into(),
+            format!("assembly = {}: the side of the arms' ends that the tip is on", description.geometry[7]),
+            "pale area: with joint 0 at home".into(),
         ],
     }
 }

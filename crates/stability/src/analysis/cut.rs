@@ -88,7 +88,8 @@ impl Cut {
             (3, 3) => {
                 let allowed = |angle: &f64| device.joints[0].limits.is_none_or(|(l, h)| (l..=h).contains(angle));
                 let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
-                let angle = [0.0, home[0]].into_iter().find(allowed).unwrap_or(middle);
+                let neutral = if Turret::of(description.kind).is_some() { 0.0 } else { home[0] };
+                let angle = [neutral, home[0]].into_iter().find(allowed).unwrap_or(middle);
                 (Some(FixedCoordinate::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
             }
             (3, _) => {
