@@ -263,7 +263,7 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
 fn files_in_other_formats_and_missing_files_are_refused() {
     let folder = Folder::new();
     let urdf = "<?xml version=\"1.0\"?>\n<!-- own -->\n<robot name=\"a\"><link name=\"b\"/></robot>\n";
-    let xacro = "<?xml version=\"1.0\"?>\n<robot xmlns:xacro=\"http://ros.org/wiki/xacro\"/>\n";
+    let xacro = "<?xml version=\"1.0\"?>\n<robot><xacro:arm/></robot>\n";
     for (name, text, words) in [
         ("arm.urdf", urdf, "this is URDF"),
         ("arm.xacro", xacro, "this is xacro"),
