@@ -267,7 +267,8 @@ impl ForeignFormat {
     /// Detects the format of a text that is not TOML by its first lines.
     pub fn of(text: &str) -> Option<&'static Self> {
         const CONVERT: &str = "convert it to a device file";
-        const EXPORT: &str = "write it as TOML (`haptic new` shows every key), or export it as URDF or MJCF and convert that";
+        const EXPORT: &str =
+            "write it as TOML (`haptic new` shows every key), or export it as URDF or MJCF and convert that";
         let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
         let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
         let key = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "_- ".contains(c));

@@ -93,7 +93,8 @@ impl Tree {
         let mut links: Vec<Link> = Vec::new();
         // Number of links up to each body, and the body's frame in the last of them.
         let mut frames: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.bodies.len());
-        let (mut held, mut dropped_rotors, mut massless, mut at_rest) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut held, mut dropped_rotors, mut massless, mut at_rest) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (index, body) in self.bodies.iter().enumerate() {
             let (mut count, mut frame) = body.parent.map_or((0, Isometry3::identity()), |parent| frames[parent]);
             for step in &body.steps {
@@ -136,10 +137,15 @@ impl Tree {
         remark("Held at zero", &held.iter().map(String::as_str).collect::<Vec<_>>());
         remark("Rotor inertia left out with the joints held", &dropped_rotors);
         remark("Massless in the file", &massless);
+        let moved = |link: usize| links[link..].iter().any(|link| link.inertia != Inertia::default());
+        let still: Vec<&str> = (0..links.len())
+            .filter(|link| links[*link].joint.inertia == 0.0 && !moved(*link))
+            .map(|link| links[link].joint.name.as_str())
+            .collect();
+        remark("No mass and no rotor inertia, which the device needs, on the joints", &still);
         remarks.extend(self.remarks.iter().cloned());
         let tip = Point3::from(frames[tip].1.translation.vector);
-        let mut chain =
-            Chain { name: self.name.clone(), links, tip, task: Vec::new(), gravity: self.gravity, remarks };
+        let mut chain = Chain { name: self.name.clone(), links, tip, task: Vec::new(), gravity: self.gravity, remarks };
         chain.task = chain.find_task().ok_or_else(|| {
             let reason = format!("the joints do not move the tip {tip_name} in as many directions as there are joints");
             choose(reason)
@@ -220,9 +226,8 @@ impl Chain {
         [vec![0.0; joints], bent.collect()].iter().find_map(|q| {
             let jacobian = self.jacobian(q);
             let largest = jacobian.singular_values().max();
-            let spans = |task: &&&[usize]| {
-                jacobian.select_rows(task.iter()).singular_values().min() > SMALLEST * largest
-            };
+            let spans =
+                |task: &&&[usize]| jacobian.select_rows(task.iter()).singular_values().min() > SMALLEST * largest;
             tasks.iter().find(spans).map(|task| task.to_vec())
         })
     }

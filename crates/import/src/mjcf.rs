@@ -194,7 +194,11 @@ impl<'a> Settings<'a> {
                 limits = of("range").numbers::<2>("range")?.map(|range| range.map(|end| end * angle_unit));
             }
             if limited && limits.is_some_and(|[low, high]| low > high) {
-                return Err(of("range").error_at("range", "the lowest position is above the highest", "exchange the two"));
+                return Err(of("range").error_at(
+                    "range",
+                    "the lowest position is above the highest",
+                    "exchange the two",
+                ));
             }
             if of("stiffness").number("stiffness")?.is_some_and(|stiffness| stiffness != 0.0) {
                 remarks.push(format!("The spring (stiffness) of joint {joint_name} is left out."));
@@ -219,7 +223,8 @@ impl<'a> Settings<'a> {
 
     fn inertia(&self, body: Element<'a>, name: &str) -> Result<Inertia, Failure> {
         let Some(inertial) = body.one("inertial")? else {
-            let reason = format!("body {name} has no <inertial>: MuJoCo computes one from its shapes, which are not read");
+            let reason =
+                format!("body {name} has no <inertial>: MuJoCo computes one from its shapes, which are not read");
             return Err(body.error(reason, format!("write its <inertial>, or {LET_MUJOCO_SAVE}")));
         };
         inertial.required_number("mass")?;
@@ -236,23 +241,29 @@ impl<'a> Settings<'a> {
 
     /// Reads position and orientation of an element.
     fn pose(&self, element: Element<'a>) -> Result<Isometry3<f64>, Failure> {
-        let no_direction = |key: &str| element.error_at(key, format!("{key} gives no orientation"), "correct its numbers");
-        let given = ["quat", "euler", "axisangle", "xyaxes", "zaxis"].into_iter().filter(|key| element.text(key).is_some());
+        let no_direction =
+            |key: &str| element.error_at(key, format!("{key} gives no orientation"), "correct its numbers");
+        let given =
+            ["quat", "euler", "axisangle", "xyaxes", "zaxis"].into_iter().filter(|key| element.text(key).is_some());
         let given: Vec<&str> = given.collect();
         let rotation = match given[..] {
             [] => UnitQuaternion::identity(),
             ["quat"] => {
                 let [w, i, j, k] = element.numbers("quat")?.unwrap_or_default();
-                UnitQuaternion::try_new(nalgebra::Quaternion::new(w, i, j, k), 1e-9).ok_or_else(|| no_direction("quat"))?
+                UnitQuaternion::try_new(nalgebra::Quaternion::new(w, i, j, k), 1e-9)
+                    .ok_or_else(|| no_direction("quat"))?
             }
             ["euler"] => {
                 let angles = element.vector("euler")?.unwrap_or_default() * self.angle_unit;
-                self.euler_sequence.chars().zip(angles.iter()).fold(UnitQuaternion::identity(), |before, (axis, angle)| {
-                    let direction = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()]
-                        [(axis.to_ascii_lowercase() as usize) - ('x' as usize)];
-                    let turn = UnitQuaternion::from_axis_angle(&direction, *angle);
-                    if axis.is_lowercase() { before * turn } else { turn * before }
-                })
+                self.euler_sequence.chars().zip(angles.iter()).fold(
+                    UnitQuaternion::identity(),
+                    |before, (axis, angle)| {
+                        let direction = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()]
+                            [(axis.to_ascii_lowercase() as usize) - ('x' as usize)];
+                        let turn = UnitQuaternion::from_axis_angle(&direction, *angle);
+                        if axis.is_lowercase() { before * turn } else { turn * before }
+                    },
+                )
             }
             ["axisangle"] => {
                 let [x, y, z, angle] = element.numbers("axisangle")?.unwrap_or_default();

@@ -1,0 +1,5 @@
+//! Tests of the conversion from URDF and MJCF.
+
+mod formats;
+mod golden;
+mod refusals;
