@@ -6,9 +6,9 @@ use haptic_host::error::Failure;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
 use std::collections::BTreeSet;
 
-/// Way to a file without elements that only MuJoCo expands.
-const LET_MUJOCO_SAVE: &str = "let MuJoCo write a plain file (its simulate program: Save xml; Python: \
-                               mujoco.mj_saveLastXML) and convert that file";
+/// Way to a file without what only MuJoCo computes.
+const LET_MUJOCO_SAVE: &str = "let MuJoCo write a plain file (write saveinertial=\"true\" into <compiler>, then `Save xml` \
+                               of its program simulate, or mujoco.mj_saveLastXML in Python) and convert that file";
 
 /// Settings of the whole file.
 struct Settings<'a> {
@@ -55,46 +55,64 @@ pub(crate) fn read(root: Element<'_>) -> Result<Tree, Failure> {
         remarks,
     };
     let mut names = BTreeSet::from(["world".to_owned()]);
-    // Elements whose bodies are to be read, with the index of the parent and the class of defaults. The last comes first.
-    let mut next: Vec<(Element<'_>, usize, Option<&str>)> = Vec::new();
-    for world in root.all("worldbody").rev() {
-        push_children(world, 0, world.text("childclass"), &mut next)?;
+    // Bodies and frames to be read. The last comes first.
+    let mut next: Vec<Pending<'_>> = Vec::new();
+    for element in root.all("worldbody").rev() {
+        let class = element.text("childclass");
+        Pending { element, parent: 0, class, frame: Isometry3::identity() }.push_children(&mut next)?;
     }
-    while let Some((element, parent, class)) = next.pop() {
+    while let Some(Pending { element, parent, class, frame }) = next.pop() {
+        let class = element.text("childclass").or(class);
+        let frame = frame * settings.pose(element)?;
+        if element.tag() == "frame" {
+            Pending { element, parent, class, frame }.push_children(&mut next)?;
+            continue;
+        }
         let index = tree.bodies.len();
         let name = element.text("name").map_or_else(|| format!("body{index}"), Into::into);
         if !names.insert(name.clone()) {
             return Err(element.error("a second body of this name", "name each body differently"));
         }
-        let class = element.text("childclass").or(class);
-        let steps = settings.steps(element, &name, class, &mut tree.remarks)?;
+        let mut steps = vec![Step::Fixed(frame)];
+        settings.add_joints(element, &name, class, &mut steps, &mut tree.remarks)?;
         let inertia = settings.inertia(element, &name)?;
         if element.magnitude("gravcomp")? > 0.0 {
             tree.remarks.push(format!("gravcomp of {name} is left out: the body has its full weight here."));
         }
         tree.bodies.push(Body { name, parent: Some(parent), steps, inertia });
-        push_children(element, index, class, &mut next)?;
+        Pending { element, parent: index, class, frame: Isometry3::identity() }.push_children(&mut next)?;
     }
     Ok(tree)
 }
 
-/// Adds the bodies in an element to those to be read.
-fn push_children<'a>(
+/// A `<body>` or `<frame>` to be read.
+struct Pending<'a> {
     element: Element<'a>,
-    index: usize,
+    /// Index of the parent body.
+    parent: usize,
+    /// Class of defaults around the element.
     class: Option<&'a str>,
-    next: &mut Vec<(Element<'a>, usize, Option<&'a str>)>,
-) -> Result<(), Failure> {
-    for child in element.children().rev() {
-        match child.tag() {
-            "body" => next.push((child, index, class)),
-            "frame" | "replicate" | "composite" | "flexcomp" | "attach" | "include" => {
-                return Err(child.error(format!("<{}> is not read", child.tag()), LET_MUJOCO_SAVE));
+    /// Displacement by the frames between the parent body and the element.
+    frame: Isometry3<f64>,
+}
+
+impl<'a> Pending<'a> {
+    /// Adds the bodies and frames in this element, which is read itself, to those to be read.
+    fn push_children(&self, next: &mut Vec<Pending<'a>>) -> Result<(), Failure> {
+        for child in self.element.children().rev() {
+            match child.tag() {
+                "body" | "frame" => next.push(Pending { element: child, ..*self }),
+                "replicate" | "composite" | "flexcomp" | "attach" | "include" => {
+                    return Err(child.error(format!("<{}> is not read", child.tag()), LET_MUJOCO_SAVE));
+                }
+                "joint" | "freejoint" | "inertial" if self.element.tag() == "frame" => {
+                    return Err(child.error("the element is in a <frame>", "move it out of the <frame>"));
+                }
+                _ => {}
             }
-            _ => {}
         }
+        Ok(())
     }
-    Ok(())
 }
 
 impl<'a> Settings<'a> {
@@ -159,14 +177,15 @@ impl<'a> Settings<'a> {
         core::iter::once(joint).chain(templates.flatten()).find(has_key).unwrap_or(joint)
     }
 
-    fn steps(
+    /// Adds the joints of a body.
+    fn add_joints(
         &self,
         body: Element<'a>,
         name: &str,
         class: Option<&'a str>,
+        steps: &mut Vec<Step>,
         remarks: &mut Vec<String>,
-    ) -> Result<Vec<Step>, Failure> {
-        let mut steps = vec![Step::Fixed(self.pose(body)?)];
+    ) -> Result<(), Failure> {
         let joints = body.children().filter(|child| ["joint", "freejoint"].contains(&child.tag()));
         for (number, joint) in joints.enumerate() {
             let class = joint.text("class").or(class).filter(|class| *class != MAIN).unwrap_or(self.top_class);
@@ -218,14 +237,15 @@ impl<'a> Settings<'a> {
             let before = anchor * joint.displacement(-reference);
             steps.extend([Step::Fixed(before), Step::Joint(joint), Step::Fixed(anchor.inverse())]);
         }
-        Ok(steps)
+        Ok(())
     }
 
     fn inertia(&self, body: Element<'a>, name: &str) -> Result<Inertia, Failure> {
         let Some(inertial) = body.one("inertial")? else {
             let reason =
                 format!("body {name} has no <inertial>: MuJoCo computes one from its shapes, which are not read");
-            return Err(body.error(reason, format!("write its <inertial>, or {LET_MUJOCO_SAVE}")));
+            return Err(body
+                .error(reason, format!("write its <inertial> (with mass 0 for a mere frame), or {LET_MUJOCO_SAVE}")));
         };
         inertial.required_number("mass")?;
         let tensor = match (inertial.numbers::<6>("fullinertia")?, inertial.numbers::<3>("diaginertia")?) {

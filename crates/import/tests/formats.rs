@@ -64,10 +64,11 @@ fn every_orientation_of_mjcf_is_read() {
         ("", "zaxis='2 0 0'", [0.0, 0.0, -1.0]),
     ] {
         let inertial = "<inertial mass='1' diaginertia='1 1 1'/>";
-        let body = format!("<body {orientation}>{inertial}</body>");
+        let body = format!("<frame pos='0 0 1' {orientation}><body pos='1 0 0'>{inertial}</body></frame>");
         let text = format!("<mujoco>{settings}<worldbody>{body}</worldbody></mujoco>");
         let Step::Fixed(pose) = &read(&text, "m".as_ref()).unwrap().bodies[1].steps[0] else { panic!("{text}") };
         assert_near((pose * Vector3::x()).as_slice(), &turned_x);
+        assert_near((pose.translation.vector - Vector3::z()).as_slice(), &turned_x);
     }
 }
 

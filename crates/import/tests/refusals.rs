@@ -42,14 +42,15 @@ const MJCF: &str = r#"<mujoco model="arm">
 
 const MJCF_MISTAKES: &str = r#"
     "0.1 0 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/> => "0.1 0 0"> => m:5:1: | body b has no <inertial>
-    "c"/> => "d"/> => m:4:83: | class "d" is unknown
+    "c"/> => "d"/> => m:4:84: | class "d" is unknown
     damping="1" => damping="x" => m:2:36: | damping = "x"
     body name="b" => body name="a" => second body of this name
     "0.1 0 0"> => "0.1 0 0" quat="1 0 0 0" euler="0 0 0"> => m:5:1: | several orientations (quat, euler)
     "0.1 0 0"> => "0.1 0 0" quat="0 0 0 0"> => m:5:30: | quat gives no orientation
     name="j" => name="j" type="screw" => unknown type
     <worldbody> => <include file="x.xml"/><worldbody> => m:3:1: | <include>: other files are not read | mj_saveLastXML
-    <worldbody> => <worldbody><frame/> => <frame> is not read
+    <worldbody> => <worldbody><replicate count="2"/> => <replicate> is not read
+    <worldbody> => <worldbody><frame><joint/></frame> => m:3:19: | in a <frame>
     <worldbody> => <compiler inertiafromgeom="true"/><worldbody> => m:3:11: | inertiafromgeom
     <worldbody> => <compiler eulerseq="abc"/><worldbody> => not a sequence of axes
 "#;
