@@ -1,6 +1,6 @@
 //! The text of a device file.
 
-use crate::chain::Chain;
+use crate::chain::{Chain, Link};
 use crate::tree::Motion;
 use core::fmt::Write;
 use haptic_host::error::on_one_line;
@@ -9,7 +9,7 @@ use haptic_host::error::on_one_line;
 const WIDTH: usize = 116;
 
 impl Chain {
-    /// Returns the device file, with every remark as a comment. Motors and encoders are placeholders.
+    /// Returns the device file. Motors and encoders are placeholders.
     pub fn device_file(&self) -> String {
         let name = if self.name.trim().is_empty() { "my-device" } else { &self.name };
         let name = on_one_line(name).replace('\\', "\\\\").replace('"', "\\\"");
@@ -79,7 +79,7 @@ impl Chain {
 }
 
 /// Returns roll, pitch and yaw of a joint's frame, exact also where roll and yaw turn about nearly the same axis.
-fn roll_pitch_yaw(link: &crate::chain::Link) -> [f64; 3] {
+fn roll_pitch_yaw(link: &Link) -> [f64; 3] {
     let r = link.origin.rotation.to_rotation_matrix();
     let yaw = r[(1, 0)].atan2(r[(0, 0)]);
     let (sin, cos) = yaw.sin_cos();

@@ -3,7 +3,7 @@
 //!
 //! The reference model here reads the text of the device file. It does not use the product's model.
 
-use haptic_import::{Selection, read};
+use haptic_import::{Selection, convert};
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
 use serde_json::Value as Json;
 use toml::{Table, Value};
@@ -112,8 +112,7 @@ fn device_files_agree_with_independent_cases() {
         let id = case["id"].as_str().unwrap();
         let words = |key: &str| -> Vec<String> { serde_json::from_value(case[key].clone()).unwrap_or_default() };
         let selection = Selection { tip: case["tip"].as_str().map(Into::into), joints: words("joints") };
-        let chain = read(case["file"].as_str().unwrap(), id.as_ref()).unwrap().chain(&selection, id.as_ref()).unwrap();
-        let text = chain.device_file();
+        let text = convert(case["file"].as_str().unwrap(), id.as_ref(), &selection).unwrap().device_file;
         let file: Table = text.parse().unwrap_or_else(|error| panic!("{error}\n{text}"));
         let task: Vec<&str> = file["geometry"]["task"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
         assert_eq!(task, words("task"), "{id}");

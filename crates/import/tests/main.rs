@@ -1,5 +1,4 @@
 //! Tests of the conversion from URDF and MJCF.
 
-mod formats;
 mod golden;
 mod refusals;

@@ -103,17 +103,13 @@ fn convert(args: Args) -> Result<(), Failure> {
     let model = args.from.ok_or_else(|| Failure::wrong("no kind and no model is named"))?;
     let document = Document::load(&model)?;
     let selection = Selection { tip: args.tip, joints: args.joints };
-    let chain = haptic_import::read(document.text(), &model)?.chain(&selection, &model)?;
-    let text = chain.device_file();
-    let Some(path) = args.output else { return print(&text) };
-    output::write(&path, text.as_bytes(), args.force.overwrite())?;
-    let (path, count) = (path.display(), chain.links.len());
+    let converted = haptic_import::convert(document.text(), &model, &selection)?;
+    let Some(path) = args.output else { return print(&converted.device_file) };
+    output::write(&path, converted.device_file.as_bytes(), args.force.overwrite())?;
+    let (path, count) = (path.display(), converted.joints);
     let joints = if count == 1 { "joint" } else { "joints" };
-    let mut said = format!("{path}: a chain of {count} {joints}; then `haptic check {path}`\n");
-    for remark in &chain.remarks {
-        said += &format!("  {remark}\n");
-    }
-    print(&said)
+    let remarks: String = converted.remarks.iter().map(|remark| format!("  {remark}\n")).collect();
+    print(&format!("{path}: a chain of {count} {joints}; then `haptic check {path}`\n{remarks}"))
 }
 
 /// Returns the text of a device file, with the device named after the file.
