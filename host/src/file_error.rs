@@ -341,7 +341,11 @@ impl std::error::Error for FileError {}
 impl From<FileError> for crate::error::Failure {
     fn from(error: FileError) -> Self {
         let failure = Self::wrong(error.line()).with_further_lines(error.others.iter().map(FileError::line));
-        if let Problem::Foreign(_) = *error.problem { failure.choose(Choice::Conversion) } else { failure }
+        match *error.problem {
+            // A table has no model to convert.
+            Problem::Foreign(format) if format.remedy.contains("convert") => failure.choose(Choice::Conversion),
+            _ => failure,
+        }
     }
 }
 

@@ -34,7 +34,7 @@ const URDF_ROWS: &str = r#"
 "#;
 
 const MJCF: &str = r#"<mujoco model="arm">
-<default><joint armature="2"/><default class="c"><joint damping="1"/></default></default>
+<default><joint armature="2"/><default class="c"><joint damping="1"/></default></default><compiler eulerseq="XYZ"/>
 <worldbody>
 <body name="a" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="j" class="c"/>
 <body name="b" pos="0.1 0.2 0.3"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body>
@@ -49,8 +49,7 @@ const MJCF_ROWS: &str = r#"
     <worldbody> => <compiler autolimits="false" angle="radian"/><default><joint range="-1 1"/></default><worldbody> => # limits
     0 0 1"><i => 0 0 1" quat="2 0 0 2"><i => rpy = [0.0, 0.0, 1.5707963267949]
     0 0 1"><i => 0 0 1" axisangle="0 0 2 90"><i => rpy = [0.0, 0.0, 1.5707963267949]
-    0 0 1"><i => 0 0 1" euler="0 90 90"><i => rpy = [1.5707963267949, 0.0, 1.5707963267949]
-    <worldbody> => <compiler eulerseq="XYZ"/><worldbody><frame euler="90 0 90"><body><inertial mass="1" diaginertia="1 1 1"/><joint/></body></frame> => rpy = [1.5707963267949, 0.0, 1.5707963267949]
+    0 0 1"><i => 0 0 1" euler="90 0 90"><i => rpy = [1.5707963267949, 0.0, 1.5707963267949]
     <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body> => </body></body> => m:5:1: | body b has no <inertial>
     <body name="b" => <frame pos="0 0 1"/><body name="b" gravcomp="1" => tip = [0.1, 0.2, 0.3] | gravcomp of b is left out
     class="c"/> => class="d"/> => m:4:96: | class "d" is unknown
