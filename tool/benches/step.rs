@@ -9,7 +9,7 @@ use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use haptic_predict::bench::error::{Law, Terms, torque};
-use haptic_predict::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use haptic_predict::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use haptic_predict::bench::probe::{HAND_SPEED, workspace};
 use haptic_predict::bench::report::devices;
 use std::hint::black_box;
@@ -37,10 +37,10 @@ fn time_torques<M: Mechanism<f32, N>, const N: usize>(
 fn time_every_variant(criterion: &mut Criterion) {
     for device in devices().expect("the shipped devices") {
         let probes = workspace(&device, 9, HAND_SPEED).expect("a device with a workspace");
-        let (points, range) = (max_grid_points(&device), range(&device, &probes));
+        let (points, range) = (max_grid_points(&device), shape_range(&device, &probes));
         let mut models = vec![PrecomputedModel::default(), frozen_model(&device, &probes)];
-        models.extend(table(&device, Interpolation::Bilinear, [points; 2], range));
-        models.extend(table(&device, Interpolation::Bicubic, [points; 2], range));
+        models.extend(mass_table(&device, Interpolation::Bilinear, [points; 2], range));
+        models.extend(mass_table(&device, Interpolation::Bicubic, [points; 2], range));
         let law = Law::of(&Scene::default(), &device).expect("the default cutoff");
         let board = device.mechanism.cast::<f32>();
         for model in &models {

@@ -78,8 +78,10 @@ pub enum MeasureError {
     Restless,
     /// The tip cannot be pulled aside.
     #[error(
-        "friction holds the tip: a pull of {} mm makes {force:.3} N, but friction is {friction:.3} N",
-        crate::measure::excitation::millimetres(*.pull)
+        "{} the tip: a pull of {} mm makes {force:.3} N, {} friction is {friction:.3} N",
+        if force > friction { "a hand or a stop holds" } else { "friction holds" },
+        crate::measure::excitation::millimetres(*.pull),
+        if force > friction { "and" } else { "but" },
     )]
     Stuck {
         /// Length of the pull, m.

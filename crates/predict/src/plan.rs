@@ -2,7 +2,7 @@
 //!
 //! The planner considers the poses at which the tip touches the scene's walls, with the motors' force there and a
 //! hand's speed. It computes the error of every mass model with and without velocity terms in the board's precision,
-//! and chooses the cheapest variant whose error is at most [`MARGIN`] of the budget.
+//! and chooses the cheapest variant whose error is at most [`USABLE_SHARE`] of the budget.
 //!
 //! Velocity terms that the board fades are lost in every variant. This error is reported but does not count against the
 //! budget. The result is a mass model and a scene with `velocity_terms` and `feed_forward`, which the board renders
@@ -10,7 +10,7 @@
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
-use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
@@ -20,7 +20,7 @@ use haptic_host::link::{Board, BoardError};
 use serde::Serialize;
 
 /// Share of the budget that the error at the computed poses may use, because between them the error may be larger.
-pub const MARGIN: f64 = 0.6;
+pub const USABLE_SHARE: f64 = 0.6;
 /// Default error budget, percent of the motors' torque.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 const FIRMWARE_TRIGONOMETRY: &str = "table";
@@ -158,15 +158,15 @@ fn plan_on(
         let used = budget.share_of_budget(&unfaded_errors);
         let (model, terms_name) = (mass.name(), terms.name());
         candidates.push(Candidate { model, terms: terms_name, instructions, errors, unfaded_errors, used });
-        if chosen.is_none() && used <= MARGIN {
+        if chosen.is_none() && used <= USABLE_SHARE {
             chosen = Some((instructions, terms, mass, errors));
         }
     }
     let Some((instructions, terms, mass, errors)) = chosen else {
         let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
         let least = best.map_or(f64::NAN, |best| match budget {
-            Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / MARGIN,
-            Budget::OneDutyStep => best.unfaded_errors.duty.max / MARGIN,
+            Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / USABLE_SHARE,
+            Budget::OneDutyStep => best.unfaded_errors.duty.max / USABLE_SHARE,
         });
         let (wanted, unit) = match budget {
             Budget::Percent(percent) => (percent, "percent"),
@@ -199,10 +199,10 @@ pub fn probes_on_walls(
 }
 
 fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
-    let (points, range) = (max_grid_points(device), range(device, probes));
+    let (points, range) = (max_grid_points(device), shape_range(device, probes));
     let mut models = vec![PrecomputedModel::default(), frozen_model(device, probes)];
-    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
     models
 }
 
@@ -257,7 +257,9 @@ fn explain(
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
         let verdict = match terms {
-            Terms::FeedForward if budget.share_of_budget(&without.errors) <= MARGIN => "too small to be compensated",
+            Terms::FeedForward if budget.share_of_budget(&without.errors) <= USABLE_SHARE => {
+                "too small to be compensated"
+            }
             Terms::FeedForward => "too small to be compensated where they do not fade",
             _ if fading.is_some() => "they are compensated, except where they fade",
             _ => "they are compensated",

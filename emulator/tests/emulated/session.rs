@@ -45,7 +45,7 @@ fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");
     let points = precompute::max_grid_points(&device);
-    let table = precompute::table(&device, Interpolation::Bicubic, [points; 2], [[0.0; 2], [1.0; 2]]);
+    let table = precompute::mass_table(&device, Interpolation::Bicubic, [points; 2], [[0.0; 2], [1.0; 2]]);
     let table = table.expect("a table that fits");
     assert_eq!(table.values.len(), 600);
     for (offset, values) in (0..).step_by(64).zip(table.values.chunks(64)) {

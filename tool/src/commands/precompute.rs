@@ -11,7 +11,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::output;
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
-use haptic_predict::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use haptic_predict::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use haptic_predict::bench::probe::{Probe, workspace};
 use std::path::PathBuf;
 
@@ -33,8 +33,8 @@ pub struct Args {
     /// Range of the two angles: lowest and highest of the first, then of the second, rad [default: the workspace]
     #[arg(long = "box", value_name = "A,B,C,D", allow_hyphen_values = true)]
     range: Option<Numbers>,
-    /// Write the result to this file (JSON: points, values and errors) for your own use. No command reads the file:
-    /// `haptic scene` computes itself what it sends to a board
+    /// Write the result to this file (JSON: points, values and errors) for your own use. No command reads the file,
+    /// because `haptic scene` computes the mass matrix for a board again
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -70,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             }
             range
         }
-        None => range(&device, &probes),
+        None => shape_range(&device, &probes),
     };
     let points = args.points.unwrap_or(max_grid_points(&device));
     let entries = device.mechanism.mass_entries().len();
@@ -79,7 +79,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Kind::Bilinear | Kind::Bicubic => {
             let cubic = args.kind == Kind::Bicubic;
             let interpolation = if cubic { Interpolation::Bicubic } else { Interpolation::Bilinear };
-            table(&device, interpolation, [points; 2], box_range).ok_or_else(|| {
+            mass_table(&device, interpolation, [points; 2], box_range).ok_or_else(|| {
                 let values = usize::from(points).pow(2) * entries;
                 Failure::impossible(format!(
                     "a table of {points} x {points} points takes {values} numbers; the board holds {TABLE_VALUES}, and a \
@@ -105,7 +105,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 fn is_inside(device: &Device<f64>, probe: &Probe, box_: [[f64; 2]; 2]) -> bool {
-    let angles = range(device, std::slice::from_ref(probe));
+    let angles = shape_range(device, std::slice::from_ref(probe));
     (0..2).all(|k| {
         let middle = 0.5 * (angles[0][k] + angles[1][k]);
         (box_[0][k]..=box_[1][k]).contains(&middle)

@@ -574,7 +574,7 @@ fn start_over_resets_and_rate_and_device_change() {
                   $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
     assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
     browser.wait_until(&tab, "!$('notice').classList.contains('shown') && view.last.held");
-    // The arrow keys move the hand, too; on its rail it comes out of the wall at once.
+    // The arrow keys move the hand, too. A hand that is put on its rail leaves the wall at once.
     browser.evaluate(
         &tab,
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",

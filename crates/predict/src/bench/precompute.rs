@@ -60,7 +60,7 @@ pub fn max_grid_points(device: &Device<f64>) -> u8 {
 }
 
 /// Returns the ranges of the two coordinates that M depends on, over `probes`, widened by 1 %, rad.
-pub fn range(device: &Device<f64>, probes: &[Probe]) -> [[f64; 2]; 2] {
+pub fn shape_range(device: &Device<f64>, probes: &[Probe]) -> [[f64; 2]; 2] {
     let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
     for probe in probes {
         for (k, angle) in shape(device, &probe.q).into_iter().enumerate() {
@@ -84,7 +84,7 @@ fn shape(device: &Device<f64>, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
 }
 
 /// Computes a table over `range` (low and high of both shape coordinates, rad); `None` if the board has no room.
-pub fn table(
+pub fn mass_table(
     device: &Device<f64>,
     interpolation: Interpolation,
     points: [u8; 2],

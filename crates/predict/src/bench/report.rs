@@ -5,7 +5,7 @@ use crate::bench::error::{
     ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
     errors, with_trigonometry,
 };
-use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Math;
@@ -90,10 +90,10 @@ fn law(device: &Device<f64>) -> Result<Law, Failure> {
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
-    let (points, range) = (max_grid_points(device), range(device, &probes));
+    let (points, range) = (max_grid_points(device), shape_range(device, &probes));
     let mut models = vec![PrecomputedModel::default(), frozen_model(device, &probes)];
-    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
     let trigonometries = [
         (Trigonometry::Tabulated, "table"),

@@ -16,7 +16,7 @@ const VALUE_WIDTH: f64 = 120.0;
 const ROW_HEIGHT: f64 = 40.0;
 const TOP_MARGIN: f64 = 92.0;
 /// Height of the names of decades and colours below the rows, pixels.
-const FOOT: f64 = 48.0;
+const FOOT_HEIGHT: f64 = 48.0;
 /// Shorter bars are placed under their names instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
 /// Minimum distance between labels of decades, pixels.
@@ -43,7 +43,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     // On paper the rows share the height of a column.
     let bar = if paper.is_printed() { 7.0 } else { 12.0 };
     let row_high = match paper.is_printed() {
-        true => (page.most_high() - top_of_rows - FOOT).min(34.0 * rows.len() as f64) / rows.len() as f64,
+        true => (page.most_high() - top_of_rows - FOOT_HEIGHT).min(34.0 * rows.len() as f64) / rows.len() as f64,
         false if in_line => ROW_HEIGHT,
         false => ROW_HEIGHT + 16.0,
     };
@@ -54,7 +54,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     let at = |kp: f64| left + width * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
     let bottom = top_of_rows + row_high * rows.len() as f64;
 
-    let mut canvas = page.canvas(bottom + FOOT);
+    let mut canvas = page.canvas(bottom + FOOT_HEIGHT);
     heading.draw(&mut canvas);
     let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {

@@ -104,9 +104,9 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
     assert_eq!(points.len(), 4);
     for point in points {
         assert_eq!((point["repeats"].as_array().unwrap().len(), point["pulls"].as_array().unwrap().len()), (6, 2));
-        // Friction enlarges the range.
+        // The smallest of two pulls at the coarsest damping is 3.4 % below theory.
         let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
-        assert!((0.97..2.5).contains(&share), "{point}");
+        assert!((0.96..1.05).contains(&share), "{point}");
     }
     let readme = read("README.md").replace('\n', " ");
     let kilonewtons = |i: usize| points[i]["kp"].as_f64().unwrap() / 1e3;
@@ -192,17 +192,14 @@ fn simulation_options_are_refused_for_other_ports() {
 }
 
 #[test]
-fn boundaries_far_below_theory_cause_a_warning() {
+fn a_hand_that_holds_the_tip_is_named() {
     let sim = Sim::start(&["--fast", "--hand", "loop", &shipped_path("coupled-five-bar.toml")]);
     let folder = Folder::new();
     let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let assert = sim.run(&[&fixed[..], &["--json", "--progress", &progress]].concat()).success();
-    let document: Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
-    let point = &document["points"][0];
-    assert!(point["kp"].as_f64().unwrap() < 0.5 * point["theory_kp"].as_f64().unwrap(), "{point}");
-    assert!(document["warnings"][0]["text"].as_str().unwrap().contains("off at kd 15.0000"), "{document}");
-    assert.stderr(contains("less than half of theory's stiffness was stable").and(contains("a hand on the device")));
+    sim.run(&[&fixed[..], &["--progress", &progress]].concat())
+        .failure()
+        .stderr(contains("a hand or a stop holds the tip: a pull of 2.0 mm makes 0.584 N, and friction is 0.083 N"));
 }
 
 #[test]
