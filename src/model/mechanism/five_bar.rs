@@ -288,7 +288,6 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
         periodic: true,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -464,9 +463,5 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             row,
             w_eff: effective_inertia(&levers.mass(), &row),
         }
-    }
-
-    fn shape(&self, q: &Vector2<T>) -> [T; 2] {
-        [q[0], q[1]]
     }
 }

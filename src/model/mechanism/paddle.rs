@@ -26,7 +26,6 @@ impl<T: Real> Paddle<T> {
 impl<T: Real> Mechanism<T, 1> for Paddle<T> {
     const SPEC: Spec =
         Spec { name: "paddle", joints: 1, task: 1, links: &[], geometry: &[("length", 1)], periodic: false };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0)];
     /// The handle's arc length, m.
     type Pose = T;
 
@@ -87,8 +86,5 @@ impl<T: Real> Mechanism<T, 1> for Paddle<T> {
     #[inline(always)]
     fn inverse(&self, _: &T, velocity: &SVector<T, 1>) -> SVector<T, 1> {
         velocity * self.inverse_length
-    }
-    fn shape(&self, _: &SVector<T, 1>) -> [T; 2] {
-        [T::zero(); 2]
     }
 }

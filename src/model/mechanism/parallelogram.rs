@@ -153,7 +153,6 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         geometry: &[("upper", 1), ("fore", 1), ("crank", 1)],
         periodic: true,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -364,9 +363,5 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             row,
             w_eff: inertia_with_turret(turret, row[0], &arms, &Vector2::new(row[1], row[2])),
         }
-    }
-
-    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
-        [q[1], q[2]]
     }
 }
