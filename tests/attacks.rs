@@ -4,11 +4,10 @@ use crate::rig::board::Board;
 use crate::rig::{self, Rig, at_rate, five_bar, hardware, rules, scene};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, Key};
-use haptic_bridge::control::{Command, HostAction, Rules};
-use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::control::{Command, Rules};
+use haptic_bridge::render::scene::{Posture, Scene};
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
-use nalgebra::{Matrix2, Vector2};
 
 fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();

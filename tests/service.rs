@@ -5,7 +5,7 @@
 //! motors are on. While the motors are on, no limit is raised, no flash is written and no timer is set.
 
 use crate::rig::board::{Board, frame};
-use crate::rig::{self, device, five_bar};
+use crate::rig;
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
