@@ -4,8 +4,8 @@
 //! After each request the board of tests/rig/board.rs asserts the safety invariants. There is no torque unless the
 //! motors are on. While the motors are on, no limit is raised, no flash is written and no timer is set.
 
-use crate::rig::board::{Board, frame};
 use crate::rig;
+use crate::rig::board::{Board, frame};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};

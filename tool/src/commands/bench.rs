@@ -30,7 +30,7 @@ pub struct Args {
 }
 
 const COLUMN_LEGEND: &str = "
-variant: mechanism/trigonometry/terms
+variant: mechanism/trigonometry/exact/terms (exact: the mass matrix in closed form)
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can reach, for each cause alone:

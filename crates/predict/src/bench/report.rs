@@ -42,7 +42,7 @@ pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
 /// Cost and error of one variant on one target.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variant {
-    /// `mechanism/trigonometry/terms`
+    /// `mechanism/trigonometry/exact/terms`
     pub name: String,
     /// Name of the mechanism.
     pub mechanism: &'static str,
@@ -99,7 +99,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
             let way = TorqueVariant { terms, trigonometry, law };
             let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
             let variant = |target, instructions, nanoseconds| Variant {
-                name: format!("{}/{name}/{}", spec.name, terms.name()),
+                name: format!("{}/{name}/exact/{}", spec.name, terms.name()),
                 mechanism: spec.name,
                 target,
                 instructions,
@@ -168,7 +168,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 
 /// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
 pub fn variant_table(every: &[(Device<f64>, Vec<Variant>)]) -> String {
-    let head = "mechanism,device,trigonometry,terms,instructions,terms left out (N),left out in 90 % (N),\
+    let head = "mechanism,device,trigonometry,mass matrix,terms,instructions,terms left out (N),left out in 90 % (N),\
                 rounding (N),tip (N),area (%),duty (steps),front";
     let mut text = csv_line(head.split(','));
     for (device, variants) in every {

@@ -67,6 +67,6 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
 
 /// Returns the terms of a variant, with its trigonometry if it is not the firmware's.
 fn short_name(name: &str) -> String {
-    let parts = name.split('/').skip(1).filter(|part| *part != "table");
+    let parts = name.split('/').skip(1).filter(|part| !["table", "exact"].contains(part));
     parts.map(|part| if part == "none" { "no terms" } else { part }).collect::<Vec<_>>().join(", ")
 }
