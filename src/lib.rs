@@ -47,7 +47,6 @@ pub mod model {
     pub mod mechanism;
     pub mod motor;
     pub(crate) mod padding;
-    pub mod precomputed;
     pub mod principal;
     pub mod shipped;
     pub mod solve;

@@ -4,68 +4,10 @@ use crate::rig::board::Board;
 use crate::rig::{self, Rig, at_rate, five_bar, hardware, rules, scene};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, Key};
-use haptic_bridge::control::{Command, HostAction, Rules};
-use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::control::{Command, Rules};
+use haptic_bridge::render::scene::{Posture, Scene};
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
-use nalgebra::{Matrix2, Vector2};
-
-#[test]
-fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
-    let device = rig::device(&five_bar());
-    for direction in 0..24 {
-        let a = direction as f32 * 0.2618;
-        let mut probe = Board::with_device(false, &device, &scene(2, &[]));
-        probe.ask::<Home>(&()).unwrap().unwrap();
-        probe.tick();
-        let at = probe.machine.control_loop.status();
-        let walls = [a, a + 0.5].map(|a| Wall {
-            surface: Surface::Plane(Plane {
-                point: [at.tip[0] - 0.5e-3 * a.cos(), at.tip[1] - 0.5e-3 * a.sin(), 0.0],
-                normal: [a.cos(), a.sin(), 0.0],
-            }),
-            feed_forward: FeedForward::Full,
-            ..rig::wall(0.0, 1_000.0)
-        });
-        let mut board = Board::with_device(false, &device, &scene(2, &walls));
-        let limits = Limits { torque: [0.3; 3], current: [3.0; 3], tip_force: 5.0, ..Limits::default() };
-        let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
-        board.ask::<SetRules>(&gentle).unwrap().unwrap();
-        board.ask::<Home>(&()).unwrap().unwrap();
-        // The matrix has 1e-3 kg m² on the diagonal and -3e-3 kg m² beside it, so its determinant is negative.
-        let mass = MassModelData::Frozen([1e-3, -3e-3, 1e-3, 0.0, 0.0, 0.0]);
-        if board.ask::<SetMassModel>(&mass).unwrap().is_err() {
-            return;
-        }
-        board.ask::<Arm>(&()).unwrap().unwrap();
-        (0..1100).for_each(|_| board.tick());
-        // A hand moves the tip 1.5 mm into the corner.
-        let into = Vector2::new(-(a + 0.25).cos(), -(a + 0.25).sin()).map(f64::from);
-        let columns = [rig::statics::torques(&at.q, [1.0, 0.0]), rig::statics::torques(&at.q, [0.0, 1.0])];
-        let turn = Matrix2::from_columns(&columns).transpose().try_inverse().unwrap() * into * 1.5e-3;
-        for step in 0..=400 {
-            for i in 0..2 {
-                let angle = turn[i] * f64::from(step) / 400.0;
-                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN).round() as i32;
-            }
-            board.tick();
-            if board.state() != State::Armed {
-                break;
-            }
-            let f = board.machine.control_loop.frame();
-            let torque = Vector2::new(f.motors.torque[0], f.motors.torque[1]).map(f64::from);
-            let force = rig::statics::force_at_tip(&f.at.q, torque);
-            assert!(
-                force.norm() < 5.05 && -force.dot(&into) > -0.1,
-                "direction {direction}: {:.2} N, of which {:.2} N push into the corner; the walls request {:.2} N outwards",
-                force.norm(),
-                force.dot(&into),
-                f.at.walls.wall_force
-            );
-        }
-    }
-}
 
 fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
@@ -103,32 +45,6 @@ fn limits_restored_alone_do_not_move_to_another_device() {
     let before = (name(&board), board.service.rules().limits.torque[0]);
     let after = restart(&mut board);
     assert_eq!((name(&after), after.service.rules().limits.torque[0]), before);
-}
-
-#[test]
-fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
-    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
-    board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
-    board.ask::<Save>(&()).unwrap().unwrap();
-    stage(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
-    commit(&mut board, &[Key::Scene]);
-    let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
-    assert!(!frozen(&board));
-    assert!(!frozen(&restart(&mut board)));
-}
-
-#[test]
-fn a_device_restored_alone_is_the_same_after_a_restart() {
-    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
-    board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
-    board.ask::<Save>(&()).unwrap().unwrap();
-    let mut other = five_bar();
-    (other.geometry[3], other.geometry[4]) = (0.11, 0.11);
-    stage(&mut board, &rig::device(&other));
-    commit(&mut board, &[Key::Device]);
-    let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
-    assert!(!frozen(&board), "the other device has the first device's matrix");
-    assert!(!frozen(&restart(&mut board)), "after a restart the other device has the first device's matrix");
 }
 
 /// Creates an armed five-bar in free space, with a control rate in Hz and a tip-force limit in N.

@@ -30,7 +30,6 @@ mod motor_model;
 mod pace;
 mod posture;
 mod power_cut;
-mod precomputed_mass;
 mod rendered_force;
 mod rendered_inertia;
 mod service;

@@ -22,7 +22,6 @@ struct Gantry<T> {
 impl<T: Real> Mechanism<T, 2> for Gantry<T> {
     const SPEC: Spec =
         Spec { name: "gantry", label: "gantry", joints: 2, task: 2, links: &[], geometry: &[("lead", 2)], are_links_optional: false, gravity: 2 };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1)];
     type Pose = [T; 2];
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -56,9 +55,6 @@ impl<T: Real> Mechanism<T, 2> for Gantry<T> {
     }
     fn inverse(&self, _: &[T; 2], velocity: &SVector<T, 2>) -> SVector<T, 2> {
         SVector::from([velocity[0] / self.lead[0], velocity[1] / self.lead[1]])
-    }
-    fn shape(&self, _: &SVector<T, 2>) -> [T; 2] {
-        [T::zero(); 2]
     }
 }
 

@@ -4,8 +4,8 @@
 //! After each request the board of tests/rig/board.rs asserts the safety invariants. There is no torque unless the
 //! motors are on. While the motors are on, no limit is raised, no flash is written and no timer is set.
 
+use crate::rig;
 use crate::rig::board::{Board, frame};
-use crate::rig::{self, device, five_bar};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -13,7 +13,6 @@ use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::program::Program;
 use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -133,7 +132,7 @@ fn too_high_refusal(share: f32) -> Refusal {
 }
 
 fn request_cases() -> Vec<RequestCase> {
-    use Refusal::{Armed as On, BadTable, NoDevice, NotHomed};
+    use Refusal::{Armed as On, NoDevice, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));
     let always = [ok; 6];
@@ -151,13 +150,6 @@ fn request_cases() -> Vec<RequestCase> {
             "scene of another rate",
             ask!(SetScene, Scene { rate_hz: 4_000.0, ..far_wall() }),
             [Err(NoDevice), ok, ok, Err(On), Err(On), ok],
-        ),
-        ("mass model", ask!(SetMassModel, MassModelData::Exact), while_off),
-        ("table", ask!(SendTable, TableChunk { offset: 0, values: [1.0].into_iter().collect() }), while_off),
-        (
-            "table with a gap",
-            ask!(SendTable, TableChunk { offset: 1, values: [1.0].into_iter().collect() }),
-            [Err(BadTable), Err(BadTable), Err(BadTable), Err(On), Err(On), Err(BadTable)],
         ),
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
         ("unchanged rules", ask!(SetRules, rules_with_share(1.0)), always),
@@ -264,8 +256,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_tests_of_requests_cover_every_endpoint() {
-    // The two tests above cover 19 endpoints that change something and 10 that only read.
-    assert_eq!(own_endpoints().count(), 29, "an endpoint was added: add it to the tests of this file");
+    // The two tests above cover 17 endpoints that change something and 10 that only read.
+    assert_eq!(own_endpoints().count(), 27, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
@@ -358,8 +350,7 @@ fn a_message_with_an_invalid_number_is_refused_or_harmless() {
     let scene = check_invalid_numbers::<SetScene>(&far_wall());
     let gains = check_invalid_numbers::<SetGains>(&gains(0, 300.0));
     let rules = check_invalid_numbers::<SetRules>(&rules_with_share(0.5));
-    let mass = check_invalid_numbers::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
-    for (accepted, refused) in [scene, gains, rules, mass] {
+    for (accepted, refused) in [scene, gains, rules] {
         assert!(accepted > 10 && refused > 10, "{accepted} accepted, {refused} refused");
     }
 }
@@ -442,7 +433,7 @@ fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
     assert_eq!(board.state(), State::Disarmed);
     assert_eq!(configuration(&mut board), before);
     assert_eq!(board.ask::<GetDetails>(&()).unwrap().name.as_str(), "left hand");
-    assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
+    assert_eq!(settings::decode::<BoardName>(before.3[4].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
 /// Returns a paddle without back-EMF, because the test board lets the commanded currents flow at any speed.
@@ -686,62 +677,17 @@ fn a_refusal_for_a_fault_names_its_remedy_once() {
     }
 }
 
+/// Earlier firmware saved a mass matrix under key 4, which this firmware must neither read nor report as damage.
 #[test]
-fn a_refused_chunk_leaves_the_table_in_force() {
-    let Board { mut machine, mut service, .. } = Board::new(false);
-    service.set_device(&mut machine, device(&five_bar())).unwrap();
-    let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
-    let chunk = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
-    service.receive_table(&mut machine, &chunk(0, &values)).unwrap();
-    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
-    let table = MassModelData::Table(grid, checksum(&values));
-    service.set_mass_model(&mut machine, table.clone()).unwrap();
-    // Every new program sets the carrier, which `carrier_sets` counts.
-    let installed = machine.carrier_sets;
-    for bad in [chunk(7, &[1.0]), chunk(0, &[f32::NAN]), chunk(0, &[f32::INFINITY; 12])] {
-        let refused = service.receive_table(&mut machine, &bad);
-        assert_eq!(refused, Err(Refusal::BadTable), "{bad:?}");
-        assert_eq!(machine.carrier_sets, installed, "{bad:?} put another mass model in force");
-        assert_eq!(service.set_mass_model(&mut machine, table.clone()), Ok(()), "{bad:?} made the table incomplete");
-        machine.carrier_sets = installed;
-    }
-}
-
-/// A table belongs to one device's mass matrix, so another device must not accept it.
-#[test]
-fn a_table_sent_before_a_device_is_not_accepted_for_it() {
-    let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
-    let chunk = TableChunk { offset: 0, values: values.iter().copied().collect() };
-    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
-    let table = MassModelData::Table(grid, checksum(&values));
-    let (first, second) = (device(&five_bar()), DeviceData { weight: true, ..device(&five_bar()) });
-    let loaded = |board: &mut Board| board.ask::<SetDevice>(&second).unwrap().unwrap();
-    let restored = |board: &mut Board| {
-        stage_setting(board, &second).unwrap();
-        board.ask::<CommitEntries>(&commit_request(&[Key::Device])).unwrap().unwrap();
-    };
-    for another in [&loaded as &dyn Fn(&mut Board), &restored] {
-        let mut board = board_in_state(BoardState::Bare);
-        board.ask::<SetDevice>(&first).unwrap().unwrap();
-        board.ask::<SendTable>(&chunk).unwrap().unwrap();
-        another(&mut board);
-        assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Err(Refusal::BadTable));
-        // The second device accepts the table if it is sent again.
-        board.ask::<SendTable>(&chunk).unwrap().unwrap();
-        assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Ok(()));
-    }
-}
-
-/// A saved mass model belongs to the saved scene, so a start must put both in force.
-#[test]
-fn a_start_restores_a_frozen_mass_matrix_with_its_scene() {
+fn a_mass_matrix_saved_by_earlier_firmware_is_ignored() {
     let mut board = board_in_state(BoardState::Ready);
-    let frozen = MassModelData::Frozen([1.0e-3; 6]);
-    assert_eq!(board.ask::<SetMassModel>(&frozen).unwrap(), Ok(()));
-    assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
-    let saved = board.ask::<ReadEntry>(&Key::MassModel).unwrap();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    let before = configuration(&mut board);
+    // The entry `mass-model 1` of a five-bar.
+    let frozen = b"\x04\x01\x01\0\0\x80\x3f\0\0\x80\x3e\0\0\0\x40\0\0\0\x3e\0\0\0\x3f\0\0\x80\x40\x4d\x3f\x94\x05";
+    board.machine.flash.committed.insert(4, frozen.iter().copied().collect());
     board.ask::<Restart>(&()).unwrap().unwrap();
-    // A save writes the settings in force.
+    assert_eq!(configuration(&mut board), before);
+    assert!(board.ask::<GetDetails>(&()).unwrap().damage.is_empty());
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
-    assert_eq!(board.ask::<ReadEntry>(&Key::MassModel).unwrap(), saved);
 }

@@ -6,7 +6,6 @@ use haptic_bridge::checksum::crc32;
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Posture, Scene, Sphere, Spring, Surface, VelocityTerms};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::limits::Limits;
@@ -67,7 +66,6 @@ fn specimens() -> Vec<(Key, Vec<u8>)> {
         entry(&stored_device()),
         entry(&full_scene()),
         entry(&full_rules()),
-        entry(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0])),
         entry(&Polarity(0xC0FF_EE01)),
         entry(&BoardName("bench left".try_into().unwrap())),
     ]
@@ -83,8 +81,6 @@ fn every_setting_decodes_to_the_encoded_value() {
     assert_round_trip(&rig::device(&rig::paddle()));
     assert_round_trip(&full_scene());
     assert_round_trip(&full_rules());
-    assert_round_trip(&MassModelData::Exact);
-    assert_round_trip(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0]));
     assert_round_trip(&Polarity(7));
     assert_round_trip(&BoardName::default());
 }
@@ -100,7 +96,6 @@ fn decode_entry(key: Key, entry: &[u8]) -> Result<(), Damage> {
         Key::Device => decode::<Device<f32>>(entry).map(drop),
         Key::Scene => decode::<Scene<f32>>(entry).map(drop),
         Key::Rules => decode::<Rules>(entry).map(drop),
-        Key::MassModel => decode::<MassModelData>(entry).map(drop),
         Key::Polarity => decode::<Polarity>(entry).map(drop),
         Key::Name => decode::<BoardName>(entry).map(drop),
     }

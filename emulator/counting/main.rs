@@ -2,7 +2,7 @@
 //!
 //! Only the core runs, without board, clock set-up and interrupts. `cargo xtask bench` builds the image, counts its
 //! instructions on the emulated chip and stores the counts in crates/predict/src/bench/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`, followed by the velocity estimator if it is not the usual one. Each
+//! `mechanism/trigonometry/exact/terms`, followed by the velocity estimator if it is not the usual one. Each
 //! variant is called at several poses with the tip inside the walls, after a few steps of motion.
 #![no_std]
 #![no_main]
@@ -17,13 +17,12 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::step_result::StepResult;
 use haptic_bridge::render::velocity::{Chosen, Estimator, MAX_WINDOW};
 use haptic_bridge::with_mechanism;
-use heapless::{String, Vec};
+use heapless::String;
 use nalgebra::SVector;
 
 #[unsafe(no_mangle)]
@@ -88,10 +87,6 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("spring beside, none", Walls::PlaneAndSpring, FeedForward::Off, VelocityTerms::Off),
     ("spring beside, washout", Walls::PlaneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
-/// Number of points of a table along each coordinate.
-const TABLE_POINTS: u8 = 10;
-/// Half the width of a table around home, rad.
-const TABLE_HALF_WIDTH: f32 = 0.6;
 /// Steps before the counted step. The first starts a few counts away, so velocities are not zero.
 const RUN_UP_STEPS: i32 = 3;
 /// Steps before the counted step, enough to fill the longest window of an estimator.
@@ -143,38 +138,13 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     let home = description.home.unwrap_or_default();
     let pose = mechanism.pose::<K>(&SVector::from_fn(|i, _| home[i] as f32));
     let tip = mechanism.tip(&pose);
-    let entries = M::MASS_ENTRIES.len();
-    let [first, second] = mechanism.shape(&SVector::from_fn(|i, _| home[i] as f32));
-    let grid = |interpolation| {
-        let (low, high) = (
-            [first - TABLE_HALF_WIDTH, second - TABLE_HALF_WIDTH],
-            [first + TABLE_HALF_WIDTH, second + TABLE_HALF_WIDTH],
-        );
-        Grid::new(interpolation, [TABLE_POINTS; 2], low, high, entries)
-    };
-    for kind in ["exact", "bilinear", "bicubic", "frozen"] {
-        if K::NAME == Micromath::NAME && kind != "exact" {
+    for (term, walls, feed_forward, velocity_terms) in TERMS {
+        // Scenes other than one plane are counted with the board's trigonometry.
+        if *walls != Walls::OnePlane && K::NAME != Tabulated::NAME {
             continue;
         }
-        let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
-        let Some(grid) = grid(interpolation) else { panic!() };
-        let mut values = Vec::<f32, TABLE_VALUES>::new();
-        tabulate::<f32, K, M, N>(mechanism, &grid, |_, value| _ = values.push(value));
-        let mass = match kind {
-            "exact" => MassModel::Exact,
-            "frozen" => MassModel::Frozen(mechanism.mass(&pose)),
-            _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
-        };
-        for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Scenes other than one plane are counted with the board's trigonometry, and except the ball with the exact
-            // mass.
-            let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
-            if *walls != Walls::OnePlane && !shipped {
-                continue;
-            }
-            let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP_STEPS);
-        }
+        let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
+        count::<M, K, N>(mechanism, device, &scene, &home, &["exact/", term], RUN_UP_STEPS);
     }
     // Velocity estimators are counted with the board's own trigonometry and the longest windows.
     if K::NAME == Tabulated::NAME {
@@ -186,7 +156,7 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             let mut scene = scene::<M, N>(&tip, Walls::OnePlane, FeedForward::Full, VelocityTerms::Off);
             scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.with_options(longest(chosen)));
             let name = ["exact/feed-forward, ", estimator];
-            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP_STEPS);
+            count::<M, K, N>(mechanism, device, &scene, &home, &name, LONG_RUN_UP_STEPS);
         }
     }
 }
@@ -197,13 +167,11 @@ fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
     device: &Device<f32>,
     scene: &Scene<f32>,
-    mass: &MassModel<f32, N>,
     home: &[f64; MAX_JOINTS],
     rest: &[&str],
     run_up: i32,
 ) {
     let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, scene) else { panic!() };
-    controller.set_mass(mass.clone());
     let mut text = String::<96>::new();
     for part in [M::SPEC.label, "/", K::NAME, "/"].iter().chain(rest) {
         let _ = text.push_str(part);

@@ -9,7 +9,6 @@ use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::Deframer;
 use postcard_rpc::Endpoint;
@@ -222,10 +221,6 @@ fn press(which: u8) -> Press {
     Press { holder: u32::from(which & 4), seen: u32::from(which) }
 }
 
-fn table(count: usize) -> Vec<f32> {
-    (0..count).map(|place| if place % 3 == 1 { 1e-4 } else { 2e-3 }).collect()
-}
-
 /// A valid message for every endpoint, in several variants.
 pub const TEMPLATES: &[Template] = &[
     (Arm::REQ_KEY, empty_body),
@@ -251,19 +246,6 @@ pub const TEMPLATES: &[Template] = &[
             scene.cutoff_hz = scene.cutoff_hz.min(0.4 * rate);
         }
         bytes_of(&scene)
-    }),
-    (SetMassModel::REQ_KEY, |which| {
-        let grid = Grid { interpolation: Interpolation::Bilinear, points: [4; 2], low: [-3.0; 2], spacing: [2.0; 2] };
-        bytes_of(&match which % 4 {
-            0 => MassModelData::Exact,
-            1 => MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3]),
-            // A table has one to three values per point. The template of SendTable sends the same values.
-            entries => MassModelData::Table(grid, checksum(&table(16 * usize::from(entries)))),
-        })
-    }),
-    (SendTable::REQ_KEY, |which| {
-        let values = table(16 * usize::from(which % 5)).into_iter().collect();
-        bytes_of(&TableChunk { offset: 16 * u16::from(which / 5), values })
     }),
     (SetGains::REQ_KEY, |which| {
         let wall = scene(which).walls.first().map(|wall| haptic_bridge::render::controller::Gains {
@@ -311,7 +293,6 @@ pub const TEMPLATES: &[Template] = &[
             Key::Device => encode(&device(which)),
             Key::Scene => encode(&scene(which)),
             Key::Rules => encode(&Rules::default()),
-            Key::MassModel => encode(&MassModelData::Exact),
             Key::Polarity => encode(&Polarity(u32::from(which))),
             Key::Name => encode(&BoardName("bench".chars().collect())),
         };

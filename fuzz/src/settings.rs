@@ -6,7 +6,6 @@ use haptic_bridge::board::settings::{BoardName, Entry, Key, Polarity, Setting, d
 use haptic_bridge::checksum::crc32;
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use std::collections::BTreeMap;
@@ -24,7 +23,6 @@ pub fn settings(data: &[u8]) {
         check_round_trip::<Device<f32>>(&entry);
         check_round_trip::<Scene<f32>>(&entry);
         check_round_trip::<Rules>(&entry);
-        check_round_trip::<MassModelData>(&entry);
         check_round_trip::<Polarity>(&entry);
         check_round_trip::<BoardName>(&entry);
         flash.insert(Key::ALL[usize::from(key & 0x7F) % Key::ALL.len()] as u8, entry);

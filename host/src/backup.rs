@@ -10,7 +10,6 @@ use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::Scene;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -101,8 +100,11 @@ pub struct PreparedSetting {
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
-const RESTORE_ORDER: [Key; Key::ALL.len()] =
-    [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
+const RESTORE_ORDER: [Key; Key::ALL.len()] = [Key::Rules, Key::Device, Key::Scene, Key::Name, Key::Polarity];
+
+/// A setting of earlier firmware, the source of the mass matrix. It is not restored, because this firmware always
+/// computes the exact one.
+pub const FORMER_SETTING: &str = "mass-model";
 
 impl Backup {
     /// Reads all settings in a board's flash. Skips a setting if its only copy is damaged.
@@ -141,25 +143,18 @@ impl Backup {
 
     /// Returns every setting in this version's encoding, in the order to send them.
     pub fn prepared_settings(&self) -> Result<Vec<PreparedSetting>, BackupError> {
-        if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
+        let is_known = |name: &str| name == FORMER_SETTING || Key::ALL.iter().any(|key| key.name() == name);
+        if let Some(unknown) = self.settings.keys().find(|name| !is_known(name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
         let mut ready = Vec::new();
         for key in RESTORE_ORDER {
-            match self.settings.get(key.name()) {
-                Some(saved) => {
-                    let (entry, mut method) = usable_entry(key, saved)?;
-                    if key == Key::Polarity {
-                        method = RestoreMethod::NotRestored;
-                    }
-                    ready.push(PreparedSetting { key, entry, method });
+            if let Some(saved) = self.settings.get(key.name()) {
+                let (entry, mut method) = usable_entry(key, saved)?;
+                if key == Key::Polarity {
+                    method = RestoreMethod::NotRestored;
                 }
-                // Prevents a restored device from using the mass model that the board keeps for another device.
-                None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
-                    let entry = encode(&MassModelData::Exact).map_err(|error| damage_error(key, error))?;
-                    ready.push(PreparedSetting { key, entry, method: RestoreMethod::Unchanged });
-                }
-                None => {}
+                ready.push(PreparedSetting { key, entry, method });
             }
         }
         Ok(ready)
@@ -224,7 +219,6 @@ fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
         Key::Device => value::<Device<f32>>(entry),
         Key::Scene => value::<Scene<f32>>(entry),
         Key::Rules => value::<Rules>(entry),
-        Key::MassModel => value::<MassModelData>(entry),
         Key::Polarity => value::<Polarity>(entry),
         Key::Name => value::<BoardName>(entry),
     };
@@ -237,7 +231,6 @@ fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, RestoreMethod)
         Key::Device => usable_entry_as::<Device<f32>>(saved),
         Key::Scene => usable_entry_as::<Scene<f32>>(saved),
         Key::Rules => usable_entry_as::<Rules>(saved),
-        Key::MassModel => usable_entry_as::<MassModelData>(saved),
         Key::Polarity => usable_entry_as::<Polarity>(saved),
         Key::Name => usable_entry_as::<BoardName>(saved),
     }

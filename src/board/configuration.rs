@@ -1,9 +1,8 @@
-//! The configuration of a board: a device, the scene rendered on it, its mass matrix and its limits.
+//! The configuration of a board: a device, the scene rendered on it and its limits.
 
 use crate::control::Rules;
 use crate::drive::carrier::RATE_HZ;
 use crate::model::device::Device;
-use crate::model::precomputed::MassModelData;
 use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 
 // A scene may have any rate that the carrier supports.
@@ -16,8 +15,6 @@ pub struct Configuration {
     pub device: Option<Device<f32>>,
     /// The loaded scene.
     pub scene: Option<Scene<f32>>,
-    /// Source of the mass matrix in the control step.
-    pub mass: MassModelData,
     /// Limits and rules.
     pub rules: Rules,
 }

@@ -163,8 +163,6 @@ fn route<M: Described>(
         GetDetails: |()| service.details(machine.measurements());
         GetDevice: |()| service.device().cloned();
         GetScene: |()| service.scene().cloned();
-        SetMassModel: |mass| service.set_mass_model(machine, mass);
-        SendTable: |chunk| service.receive_table(machine, &chunk);
         SetRules: |rules| service.set_rules(machine, rules);
         GetRules: |()| *service.rules();
         Home: |()| service.home(machine);

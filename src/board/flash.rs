@@ -4,7 +4,6 @@ use crate::board::configuration::{Configuration, empty_scene};
 use crate::board::machine::Machine;
 use crate::board::protocol::KeyList;
 use crate::board::settings::{self, Entry, Key, Setting};
-use crate::model::precomputed::MassModelData;
 use crate::safety::refusal::Refusal;
 
 /// Commits the settings staged under these keys together with the rest of the configuration, so that no setting of an
@@ -37,19 +36,14 @@ pub(super) fn stage_all(
     configuration: &Configuration,
     keys: &mut KeyList,
 ) -> Result<(), Refusal> {
-    let Configuration { device, scene, mass, rules } = configuration;
+    let Configuration { device, scene, rules } = configuration;
     if let Some(device) = device {
         stage(machine, device, keys)?;
     }
     if let Some(scene) = scene {
         stage(machine, scene, keys)?;
     }
-    stage(machine, rules, keys)?;
-    // A table is too long for a setting, so the board uses the closed form after a restart.
-    match mass {
-        MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
-        kept => stage(machine, kept, keys),
-    }
+    stage(machine, rules, keys)
 }
 
 /// Returns true if flash holds this value. A separate function, so that the entry is on the stack only here.

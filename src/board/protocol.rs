@@ -12,8 +12,6 @@ pub use crate::control::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequ
 pub use crate::control::{Beat, Press};
 use crate::control::{Rules, Status};
 use crate::model::device::Device;
-use crate::model::precomputed::MassModelData;
-pub use crate::model::precomputed::TableChunk;
 use crate::render::controller::Gains;
 use crate::render::scene::Scene;
 use crate::render::velocity::Estimator;
@@ -25,7 +23,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of the protocol, increased with every change of a message.
-pub const PROTOCOL: u16 = 11;
+pub const PROTOCOL: u16 = 12;
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
 /// Maximum number of faults in the board's history.
@@ -136,8 +134,6 @@ endpoints! {
     | GetDevice     | ()            | MaybeDevice | "haptic/device?"   |
     | SetScene      | SceneData     | Outcome     | "haptic/scene"     |
     | GetScene      | ()            | MaybeScene  | "haptic/scene?"    |
-    | SetMassModel  | MassModelData | Outcome     | "haptic/mass"      |
-    | SendTable     | TableChunk    | Outcome     | "haptic/table"     |
     | SetGains      | GainsRequest  | Outcome     | "haptic/gains"     |
     | SetRules      | Rules         | Outcome     | "haptic/rules"     |
     | GetRules      | ()            | Rules       | "haptic/rules?"    |

@@ -15,7 +15,6 @@ use crate::control::program::{Hardware, Program};
 use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
 use crate::model::device::Device;
-use crate::model::precomputed::{MassModelData, TableChunk, TableReceiver};
 use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::FaultRecord;
@@ -29,7 +28,6 @@ pub struct Service {
     hardware: Hardware,
     max_limits: Limits,
     configuration: Configuration,
-    table_receiver: TableReceiver,
     name: Name,
     /// Device whose polarity check succeeded since the board started. The entire device is stored, because checksums
     /// may coincide.
@@ -56,10 +54,8 @@ impl Service {
             configuration: Configuration {
                 device: None,
                 scene: None,
-                mass: MassModelData::Exact,
                 rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
             },
-            table_receiver: TableReceiver::default(),
             name: Name::new(),
             checked_device: None,
             damage: Vec::new(),
@@ -81,27 +77,16 @@ impl Service {
         {
             let _ = self.damage.push((Key::Rules, Damage::Corrupt));
         }
-        if let Some(mass) = self.read(machine).filter(|mass| !matches!(mass, MassModelData::Table(..))) {
-            self.configuration.mass = mass;
-        }
-        let mass = self.configuration.mass.clone();
-        let modelled = mass != MassModelData::Exact;
         let scene = self.read::<Scene<f32>>(machine);
         if let Some(device) = self.read::<Device<f32>>(machine)
-            && self.set_device_and_mass(machine, device.clone(), mass.clone()).is_err()
+            && self.set_device(machine, device).is_err()
         {
-            // If only the mass model does not fit, the device is loaded without it.
-            let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
-            let _ = self.damage.push((key, Damage::Corrupt));
+            let _ = self.damage.push((Key::Device, Damage::Corrupt));
         }
-        let mass = self.configuration.mass.clone();
-        let modelled = mass != MassModelData::Exact;
-        // A mass model that was saved with the scene was made for the scene's walls.
         if let (Some(scene), true) = (scene, self.configuration.device.is_some())
-            && self.set_scene_and_mass(machine, scene.clone(), mass).is_err()
+            && self.set_scene(machine, scene).is_err()
         {
-            let key = if modelled && self.set_scene(machine, scene).is_ok() { Key::MassModel } else { Key::Scene };
-            let _ = self.damage.push((key, Damage::Corrupt));
+            let _ = self.damage.push((Key::Scene, Damage::Corrupt));
         }
         if !self.damage.is_empty() {
             let value = self.damage.len() as f32;
@@ -155,81 +140,32 @@ impl Service {
         &self.configuration.rules
     }
 
-    /// Loads a device. The motors must be off. Drops homing, the mass model and a scene that does not fit.
-    pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
-        self.set_device_and_mass(machine, device, MassModelData::Exact)
-    }
-
-    fn set_device_and_mass<Mc: Machine>(
-        &mut self,
-        machine: &mut Mc,
-        device: Device<f32>,
-        mass: MassModelData,
-    ) -> Result<(), Refusal> {
+    /// Loads a device. The motors must be off. Drops homing and a scene that does not fit.
+    pub fn set_device<Mc: Machine>(&mut self, machine: &mut Mc, device: Device<f32>) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         check_device::<Mc::Math>(&device)?;
         let scene = self.configuration.scene.as_ref().filter(|scene| scene_fits_device(scene, &device)).cloned();
-        let mut next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
+        let mut next = Configuration { device: Some(device), scene, rules: self.configuration.rules };
         self.install(machine, &mut next, false, None)?;
         self.finish_device_change(machine)
     }
 
-    /// Drops a partly received table of the previous device. Informs the control loop if this device passed the
-    /// polarity check before. A device with a NaN equals no device, so it counts as unchecked.
+    /// Informs the control loop if this device passed the polarity check before. A device with a NaN equals no device,
+    /// so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        self.table_receiver = TableReceiver::default();
         match &self.checked_device {
             Some(_) if self.checked_device == self.configuration.device => machine.execute(Command::PolarityKnown).0,
             _ => Ok(()),
         }
     }
 
-    /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for the walls of its own scene. While the motors are on, the scene must have the present control rate, and the
-    /// tip must not touch a wall of the scene.
+    /// Loads a scene for the device. While the motors are on, the scene must have the present control rate, and the tip
+    /// must not touch a wall of the scene.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
-        self.set_scene_and_mass(machine, scene, MassModelData::Exact)
-    }
-
-    fn set_scene_and_mass(
-        &mut self,
-        machine: &mut impl Machine,
-        scene: Scene<f32>,
-        mass: MassModelData,
-    ) -> Result<(), Refusal> {
         let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
         scene.check(task(device)).map_err(Refusal::Scene)?;
         let (device, rules) = (Some(device.clone()), self.configuration.rules);
-        self.install(machine, &mut Configuration { device, scene: Some(scene), mass, rules }, true, None)
-    }
-
-    /// Selects the source of the mass matrix. The motors must be off. A table's values must have been sent before.
-    pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
-        check_motors_off(machine)?;
-        if let MassModelData::Table(grid, crc) = &mass {
-            let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
-            if !self.table_receiver.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
-                return Err(Refusal::BadTable);
-            }
-        }
-        let Configuration { device, scene, rules, .. } = &self.configuration;
-        let mut next = Configuration { device: device.clone(), scene: scene.clone(), mass, rules: *rules };
-        self.install(machine, &mut next, true, None)
-    }
-
-    /// Receives a piece of a table, in order from offset 0, see [`TableReceiver::take`]. First replaces a table in use
-    /// by the closed form, because the new values overwrite it.
-    pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
-        check_motors_off(machine)?;
-        let offset = usize::from(chunk.offset);
-        if !self.table_receiver.fits(offset, &chunk.values) {
-            return Err(Refusal::BadTable);
-        }
-        if matches!(self.configuration.mass, MassModelData::Table(..)) {
-            self.set_mass_model(machine, MassModelData::Exact)?;
-        }
-        self.table_receiver.take(offset, &chunk.values);
-        Ok(())
+        self.install(machine, &mut Configuration { device, scene: Some(scene), rules }, true, None)
     }
 
     /// Applies `next` and swaps the previous configuration into its place. A refusal changes nothing. The settings
@@ -277,12 +213,11 @@ impl Service {
         next: &Configuration,
         same_device: bool,
     ) -> Result<Option<(Mc::StoredProgram, f32)>, Refusal> {
-        let Configuration { device, scene, mass, rules } = next;
+        let Configuration { device, scene, rules } = next;
         let Some(device) = device else { return Ok(None) };
         let empty = empty_scene(device);
         let scene = scene.as_ref().unwrap_or(&empty);
-        let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
-        program.set_mass(mass, self.table_receiver.values())?;
+        let program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
         Ok(Some((machine.place(program)?, scene.rate_hz)))
     }
 

@@ -3,11 +3,10 @@
 //! An entry that is damaged or has an unknown version is refused without the other entries. The bytes are identical in
 //! flash, in a backup file and on the link.
 
-use crate::board::storage::DECISION_KEY;
+use crate::board::storage::{CATALOGUE_KEY, DECISION_KEY};
 use crate::checksum::crc32;
 use crate::control::Rules;
 use crate::model::device::Device;
-use crate::model::precomputed::MassModelData;
 use crate::render::scene::Scene;
 use crate::safety::limits::GENTLE_FORCE;
 use heapless::{String, Vec};
@@ -19,7 +18,7 @@ pub const LONGEST_SETTING: usize = 1024;
 /// Bytes of an entry.
 pub type Entry = Vec<u8, LONGEST_SETTING>;
 
-/// Key of a setting. The numbers never change.
+/// Key of a setting. The numbers never change. Old flash may contain an entry of the former key 4, which is not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[repr(u8)]
 pub enum Key {
@@ -29,8 +28,6 @@ pub enum Key {
     Scene = 2,
     /// Limits and rules.
     Rules = 3,
-    /// The mass model.
-    MassModel = 4,
     /// Checksum of a device that once passed the polarity check. Unused, but contained in old flash and backups.
     Polarity = 5,
     /// The board's name.
@@ -39,17 +36,17 @@ pub enum Key {
 
 // The settings' keys lie between `CATALOGUE_KEY` and `DECISION_KEY`, and `ALL` is in the order of the keys.
 const _: () = {
-    let mut place = 0;
+    let (mut place, mut before) = (0, CATALOGUE_KEY);
     while place < Key::ALL.len() {
-        let key = Key::ALL[place] as usize;
-        assert!(key == place + 1 && key < DECISION_KEY as usize);
-        place += 1;
+        let key = Key::ALL[place] as u8;
+        assert!(before < key && key < DECISION_KEY);
+        (place, before) = (place + 1, key);
     }
 };
 
 impl Key {
     /// All keys.
-    pub const ALL: [Key; 6] = [Key::Device, Key::Scene, Key::Rules, Key::MassModel, Key::Polarity, Key::Name];
+    pub const ALL: [Key; 5] = [Key::Device, Key::Scene, Key::Rules, Key::Polarity, Key::Name];
 
     /// Returns the key's name in backups and reports.
     pub const fn name(self) -> &'static str {
@@ -57,7 +54,6 @@ impl Key {
             Key::Device => "device",
             Key::Scene => "scene",
             Key::Rules => "rules",
-            Key::MassModel => "mass-model",
             Key::Polarity => "polarity",
             Key::Name => "name",
         }
@@ -101,10 +97,6 @@ impl Setting for Rules {
     const VERSION: u8 = 2;
     /// Inserts [`GENTLE_FORCE`] after the other limits, which are the first fifteen numbers of four bytes.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
-}
-impl Setting for MassModelData {
-    const KEY: Key = Key::MassModel;
-    const VERSION: u8 = 1;
 }
 
 /// Checksum of a device that once passed the polarity check. Old flash and backups may contain it. The checksum has no

@@ -25,7 +25,7 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 /// Maximum length of an entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
-const CATALOGUE_KEY: u8 = 0;
+pub(super) const CATALOGUE_KEY: u8 = 0;
 /// Key of the decision, which holds the generations of the valid staged entries, or zeros. Keys of settings are lower.
 pub(super) const DECISION_KEY: u8 = 7;
 /// Bit that marks the key of a staged entry.

@@ -10,7 +10,6 @@ use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
 use crate::model::padding::{as_joints, pad, to_joints};
-use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
 use crate::render::step_result::StepResult;
@@ -52,17 +51,6 @@ macro_rules! define {
                         Controller::new(*mechanism, device, scene).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
                 }
-            }
-
-            /// See [`Controller::set_mass`]. Returns an error if the data do not fit the mechanism.
-            pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
-                match self {
-                    $(Self::$Variant(controller) => {
-                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(data, values);
-                        controller.set_mass(mass.ok_or(Refusal::BadTable)?);
-                    })*
-                }
-                Ok(())
             }
 
             /// Returns the kind of mechanism.
@@ -226,12 +214,6 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             rate_hz: scene.rate_hz,
             carrier_hz: bridge.carrier_hz,
         })
-    }
-
-    /// Uses a prepared model of the mass matrix instead of the mechanism's closed form; `values` are the entries sent
-    /// for a table. Returns an error if the data do not fit the mechanism.
-    pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
-        self.controller.set_mass(data, values)
     }
 
     /// Returns the program's controller.

@@ -3,10 +3,9 @@
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
-use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
+use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose, shared_shaping};
 use crate::model::motor::Motor;
 use crate::model::padding::{pad, to_joints};
-use crate::model::precomputed::MassModel;
 use crate::model::solve::solve_symmetric;
 use heapless::String;
 use nalgebra::{SMatrix, SVector};
@@ -197,7 +196,7 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
     // Every coefficient of M contributes in this direction.
     let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &to_joints(q).into(), &pose, &direction);
+    let shaping = shared_shaping(mechanism, &pose, &direction);
     let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }

@@ -130,8 +130,6 @@ impl<T: Real, const N: usize> Shaping<T, N> {
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// Contents of its device files.
     const SPEC: Spec;
-    /// Nonzero entries of the lower triangle of M (row, column), row by row; all other entries are always zero.
-    const MASS_ENTRIES: &'static [(usize, usize)];
     /// Quantities that depend on the angles alone, computed once per control step.
     type Pose: Copy + core::fmt::Debug;
     /// Computes the coefficients from a description. The error names the invalid property of the description.
@@ -254,8 +252,6 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn is_prismatic(&self, _joint: usize) -> bool {
         false
     }
-    /// Returns the two joint coordinates that the mass matrix depends on, rad.
-    fn shape(&self, q: &SVector<T, N>) -> [T; 2];
 }
 
 macro_rules! define {
@@ -319,15 +315,6 @@ macro_rules! define {
             }
         }
 
-        impl<T: Real> AnyMechanism<T> {
-            /// Returns the distinct entries of M, see [`Mechanism::MASS_ENTRIES`].
-            pub fn mass_entries(&self) -> &'static [(usize, usize)] {
-                match self {
-                    $(Self::$Variant(_) => <$Variant<T> as Mechanism<T, $n>>::MASS_ENTRIES,)*
-                }
-            }
-        }
-
         /// Runs `$body` with `$m` bound to the concrete mechanism inside an [`AnyMechanism`].
         #[macro_export]
         macro_rules! with_mechanism {
@@ -362,4 +349,14 @@ pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usiz
     angles: &[Angle<T>; N],
 ) -> M::Pose {
     mechanism.pose_at::<K>(angles)
+}
+
+/// Calls [`Mechanism::shaping`]. Compiled once per mechanism, because every copy would enlarge the image.
+#[inline(never)]
+pub(crate) fn shared_shaping<T: Real, M: Mechanism<T, N>, const N: usize>(
+    mechanism: &M,
+    pose: &M::Pose,
+    n: &SVector<T, N>,
+) -> Shaping<T, N> {
+    mechanism.shaping(pose, n)
 }

@@ -12,7 +12,6 @@ use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::mechanism::{Mechanism, shared_pose};
-use crate::model::precomputed::MassModel;
 use crate::render::scene::{Admissible, Posture, Scene, SceneError, VelocityTerms};
 use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use crate::render::velocity::{Coefficients, Washout};
@@ -126,7 +125,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     admissible: Admissible,
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
-    mass: MassModel<T, N>,
     /// Placed last, because other fields need to be near for the FPU's loads.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
@@ -170,7 +168,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
         Ok(Self {
             mechanism,
-            mass: MassModel::Exact,
             observers: Observers::new(device, &coefficients),
             encoders: Encoders::new(device, &coefficients, moving),
             passivity: Passivity::new(coefficients.rate()),
@@ -191,12 +188,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             variant: StepVariant::Restart,
             math: PhantomData,
         })
-    }
-
-    /// Sets the source of the mass matrix from now on.
-    pub fn set_mass(&mut self, mass: MassModel<T, N>) {
-        self.mass = mass;
-        self.select_variant();
     }
 
     /// Runs one control step for these encoder counts. Call at the control rate.

@@ -23,8 +23,6 @@ pub enum Refusal {
     BadDevice,
     /// The scene cannot be used.
     Scene(crate::render::scene::SceneError),
-    /// The precomputed table does not fit the device, or is too large for the board's memory.
-    BadTable,
     /// The device file has no `[home]`.
     NoHome,
     /// The device has not been homed since power-on.
@@ -79,7 +77,6 @@ impl core::fmt::Display for Refusal {
             }
             Self::BadDevice => f.write_str("the device's numbers cannot be used: check encoders and inertias"),
             Self::Scene(error) => write!(f, "{error}"),
-            Self::BadTable => f.write_str("the precomputed table does not fit this device or the board's memory"),
             Self::NoHome => f.write_str("the device file has no [home]: add the joint angles of the home pose"),
             Self::NotHomed => f.write_str("the device is not homed: hold it in its home pose and run `haptic home`"),
             Self::NoJointLimits(joint) => {

@@ -38,8 +38,6 @@ pub struct Flash {
 pub struct RigMachine {
     pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
-    /// Number of times that the carrier was set, once for every program that came into force.
-    pub carrier_sets: u32,
 }
 
 impl RigMachine {
@@ -68,7 +66,6 @@ impl Machine for RigMachine {
     fn release(&mut self, _held: Self::StoredProgram) {}
     fn retime(&mut self, _rate_hz: f32) {
         assert!(!self.control_loop.status().state.drives(), "the timer is set while the motors are on");
-        self.carrier_sets += 1;
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         self.check_writable()?;
@@ -160,7 +157,6 @@ impl Board {
             machine: RigMachine {
                 control_loop: ControlLoop::new(hardware, Rules::default()),
                 flash: Flash { committed: flash, ..Flash::default() },
-                carrier_sets: 0,
             },
             service: Service::new(hardware, board_limits),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },

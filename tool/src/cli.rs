@@ -223,7 +223,6 @@ mod tests {
             "map IN --normal 0,1 --svg OUT",
             "design IN --normal 0,1 --svg OUT",
             "new scene --device IN -o OUT",
-            "precompute IN --kind frozen -o OUT",
             "device --read IN -o OUT",
         ];
         for line in lines {

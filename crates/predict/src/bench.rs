@@ -2,7 +2,6 @@
 //!
 //! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and stored in bench/counts.json
 //! - [`estimators`]: comparison of velocity estimators on a device, simulated with encoder steps
-//! - [`precompute`]: frozen matrices and tables of a device, ready to send to a board
 //! - [`probe`]: situations in which errors are computed: poses, normals, forces and hand motions
 //! - [`report`]: cost, error and Pareto front of each variant, as tables
 //! - [`error`]: torque of a variant in the board's precision, compared with the closed form in f64
@@ -13,7 +12,6 @@
 pub mod counts;
 pub mod error;
 pub mod estimators;
-pub mod precompute;
 pub mod probe;
 pub mod report;
 pub mod wall;

@@ -1,19 +1,16 @@
 //! Plans a scene: finds the cheapest control step within an error budget.
 //!
 //! The planner considers the poses at which the tip touches the scene's walls, with the motors' force there and a
-//! hand's speed. It computes the error of every mass model with and without velocity terms in the board's precision,
-//! and chooses the cheapest variant whose error is at most [`USABLE_SHARE`] of the budget.
+//! hand's speed. It computes the error with and without velocity terms in the board's precision, and chooses the
+//! cheapest variant whose error is at most [`USABLE_SHARE`] of the budget.
 //!
 //! Velocity terms that the board fades are lost in every variant. This error is reported but does not count against the
-//! budget. The result is a mass model and a scene with `velocity_terms` and `feed_forward`, which the board renders
-//! unchanged.
+//! budget. The result is a scene with `velocity_terms` and `feed_forward`, which the board renders unchanged.
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
-use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::Interpolation;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
@@ -48,8 +45,6 @@ impl Budget {
 /// A variant that was considered.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
-    /// Name of the mass model.
-    pub model: &'static str,
     /// Name of the terms.
     pub terms: &'static str,
     /// Instructions of the slowest control step on the Cortex-M4F.
@@ -68,8 +63,6 @@ pub struct Candidate {
 pub struct Plan {
     /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
-    /// The chosen mass model.
-    pub mass: PrecomputedModel,
     /// Terms of the walls' feed-forward.
     pub terms: Terms,
     /// Instructions of the slowest control step on the Cortex-M4F.
@@ -83,11 +76,10 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Loads the scene and the mass model onto a disarmed board. Returns the scene that was sent.
+    /// Loads the scene onto a disarmed board. Returns the scene that was sent.
     pub fn load(&self, board: &mut Board) -> Result<Scene<f32>, BoardError> {
         let scene = self.scene.cast();
         board.set_scene(&scene)?;
-        board.send_mass(&self.mass.data, &self.mass.values)?;
         Ok(scene)
     }
 }
@@ -131,38 +123,29 @@ fn plan_on(
     if probes.is_empty() {
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
         scene.velocity_terms = VelocityTerms::Off;
-        let instructions = cost(device, &scene, "exact");
-        let (mass, errors) = (PrecomputedModel::default(), Errors::default());
-        return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
+        let (instructions, errors) = (cost(device, &scene), Errors::default());
+        return Ok(Plan { scene, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
     let (wanted, law) = (scene.velocity_terms, Law::of(&scene, device)?);
     let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
-    let mut variants = Vec::new();
-    for mass in models(device, &probes) {
-        for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
-            if terms == Terms::FeedForwardZ && wanted == VelocityTerms::Off {
-                continue;
-            }
-            let with = Scene { velocity_terms: used_of(terms), ..scene.clone() };
-            variants.push((cost(device, &with, mass.name()), terms, mass.clone()));
-        }
-    }
-    variants.sort_by_key(|(instructions, _, mass)| (*instructions, mass.bytes()));
-
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut chosen = None;
-    for (instructions, terms, mass) in variants {
-        let variant = TorqueVariant { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
+    // In ascending order of cost.
+    for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
+        if terms == Terms::FeedForwardZ && wanted == VelocityTerms::Off {
+            continue;
+        }
+        let instructions = cost(device, &Scene { velocity_terms: used_of(terms), ..scene.clone() });
+        let variant = TorqueVariant { terms, trigonometry: Trigonometry::Tabulated, law };
         let VariantErrors { whole: errors, unfaded_errors } = errors(device, &probes, &variant);
         let used = budget.share_of_budget(&unfaded_errors);
-        let (model, terms_name) = (mass.name(), terms.name());
-        candidates.push(Candidate { model, terms: terms_name, instructions, errors, unfaded_errors, used });
+        candidates.push(Candidate { terms: terms.name(), instructions, errors, unfaded_errors, used });
         if chosen.is_none() && used <= USABLE_SHARE {
-            chosen = Some((instructions, terms, mass, errors));
+            chosen = Some((instructions, terms, errors));
         }
     }
-    let Some((instructions, terms, mass, errors)) = chosen else {
+    let Some((instructions, terms, errors)) = chosen else {
         let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
         let least = best.map_or(f64::NAN, |best| match budget {
             Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / USABLE_SHARE,
@@ -173,15 +156,15 @@ fn plan_on(
             Budget::OneDutyStep => (1.0, "duty steps"),
         };
         return Err(Failure::impossible(format!(
-            "no mass model keeps the error on the reachable walls below {wanted} {unit}; the best one needs {least:.3} {unit}"
+            "no control step keeps the error on the reachable walls below {wanted} {unit}; the best one needs {least:.3} {unit}"
         ))
         .remedy(format!("allow an error of {:.2}", least * 1.1)));
     };
     scene.velocity_terms = used_of(terms);
     let [faded, _] = law.fading_shares(device, &probes);
     let fading = (wanted != VelocityTerms::Off && faded > 0.0).then_some((faded, law.lag));
-    reasons.extend(explain(&candidates, terms, &mass, budget, speed, fading));
-    Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
+    reasons.extend(explain(&candidates, terms, budget, speed, fading));
+    Ok(Plan { scene, terms, instructions, errors, candidates, reasons })
 }
 
 /// Returns situations at all walls with feed-forward.
@@ -198,38 +181,29 @@ pub fn probes_on_walls(
     Ok(probes)
 }
 
-fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
-    let (points, range) = (max_grid_points(device), shape_range(device, probes));
-    let mut models = vec![PrecomputedModel::default(), frozen_model(device, probes)];
-    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
-    models
-}
-
 /// Returns the instructions of the slowest control step of a scene, from counts for one wall, a pair of walls, a ball
 /// and no wall. Each additional wall adds the difference that a wall of its kind makes.
-pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
+pub fn cost(device: &Device<f64>, scene: &Scene<f64>) -> u32 {
     let name = device.mechanism.kind().spec().label;
-    let counted =
-        |model: &str, terms: &str| counts::instructions(name, FIRMWARE_TRIGONOMETRY, model, terms).unwrap_or(0);
-    let free = counted("exact", "free");
+    let counted = |terms: &str| counts::instructions(name, FIRMWARE_TRIGONOMETRY, terms).unwrap_or(0);
+    let free = counted("free");
     let z = if scene.velocity_terms == VelocityTerms::Off { "" } else { "+z" };
-    let per_wall = counted("exact", "none").saturating_sub(free);
+    let per_wall = counted("none").saturating_sub(free);
     let walls = scene.walls.len() as u32;
     let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();
     let curved = scene.walls.iter().any(|wall| wall.surface.is_curved());
     let Some(first) = shaped.first() else { return free + walls * per_wall };
     let one = match first.feed_forward {
-        _ if curved => counted(model, &format!("ball, washout{z}")),
-        FeedForward::Full if shaped.len() == 1 => counted(model, &format!("feed-forward{z}")),
-        _ => counted(model, &format!("washout{z}")),
+        _ if curved => counted(&format!("ball, washout{z}")),
+        FeedForward::Full if shaped.len() == 1 => counted(&format!("feed-forward{z}")),
+        _ => counted(&format!("washout{z}")),
     };
     let plain = walls - shaped.len() as u32;
     let more = match shaped.len() as u32 {
         1 => 0,
         count => {
-            let pair = counted("exact", &format!("edge, washout{z}"));
-            pair.saturating_sub(counted("exact", &format!("washout{z}"))) + (count - 2) * per_wall
+            let pair = counted(&format!("edge, washout{z}"));
+            pair.saturating_sub(counted(&format!("washout{z}"))) + (count - 2) * per_wall
         }
     };
     one + more + plain * per_wall
@@ -239,12 +213,11 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
 fn explain(
     candidates: &[Candidate],
     terms: Terms,
-    mass: &PrecomputedModel,
     budget: Budget,
     speed: f64,
     fading: Option<(f64, f64)>,
 ) -> Vec<String> {
-    let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
+    let find = |terms: Terms| candidates.iter().find(|c| c.terms == terms.name());
     // Uses the force that 99 % of the situations do not exceed, because the others are close to singularities.
     let size = |errors: &Errors| {
         let Errors { force, share, duty, .. } = errors;
@@ -255,7 +228,7 @@ fn explain(
         format!("up to {} at the tip in 99 % of the situations, at worst {most}", newtons(force.most))
     };
     let mut reasons = Vec::new();
-    if let Some(without) = find("exact", Terms::FeedForward) {
+    if let Some(without) = find(Terms::FeedForward) {
         let verdict = match terms {
             Terms::FeedForward if budget.share_of_budget(&without.errors) <= USABLE_SHARE => {
                 "too small to be compensated"
@@ -266,29 +239,13 @@ fn explain(
         };
         reasons.push(format!("at {speed} m/s the forces of motion are {}: {verdict}", size(&without.errors)));
     }
-    if let (Some((share, lag)), Some(whole)) = (fading, find("exact", Terms::FeedForwardZ)) {
+    if let (Some((share, lag)), Some(whole)) = (fading, find(Terms::FeedForwardZ)) {
         reasons.push(format!(
             "estimated velocities lag by {:.2} ms, so the velocity terms fade where the joints turn fast near a singular pose, in {} of the \
-             situations: up to {} of the forces of motion then remain with every mass matrix; a higher rate and cutoff reduce them",
+             situations: up to {} of the forces of motion then remain; a higher rate and cutoff reduce them",
             1.0e3 * lag,
             percent(share),
             newtons(whole.errors.force.max)
-        ));
-    }
-    if let Some(one) = find("frozen", terms) {
-        let verdict = match mass.name() {
-            "frozen" => "so one matrix is enough",
-            _ => "so the matrix must follow the pose",
-        };
-        let error = size(&one.unfaded_errors);
-        reasons.push(format!("one mass matrix for all of the walls is wrong by {error}, {verdict}"));
-    }
-    if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
-    {
-        let verdict = if mass.name() == "exact" { "so the closed form is used" } else { "so the table is used" };
-        reasons.push(format!(
-            "the closed form takes {} instructions, a table {}, {verdict}",
-            exact.instructions, table.instructions
         ));
     }
     reasons

@@ -1,10 +1,8 @@
 //! A refused request changes nothing. The firmware gets every request that its state refuses, and the bridges' pins and
 //! the board's data are checked. tests/service.rs checks the text of each refusal.
 
-use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
 use haptic_bridge::control::Rules;
-use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
@@ -36,11 +34,6 @@ fn set_half_rate(board: &mut Board) -> Result<(), BoardError> {
     board.set_scene(&scene)
 }
 
-fn set_unsent_table(board: &mut Board) -> Result<(), BoardError> {
-    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
-    board.set_mass_model(&MassModelData::Table(grid, 1))
-}
-
 fn stage_rules(board: &mut Board) -> Result<(), BoardError> {
     let rules = board.rules()?;
     board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
@@ -52,10 +45,6 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("rules that are not numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
     ("gains of a wall that does not exist", |board| board.set_wall_gains(gains(9, 300.0))),
     ("gains that are not numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
-    ("a table that was not sent", set_unsent_table),
-    ("a table that starts in its middle", |board| {
-        board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
-    }),
     ("entries that were not staged", |board| board.commit_entries(&[Key::Rules].into_iter().collect())),
     ("a damaged entry", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
@@ -71,8 +60,6 @@ const NEED_MOTORS_OFF: &[Request] = &[
         let device = board.device()?.expect("a device");
         board.set_device(&device)
     }),
-    ("mass model", |board| board.set_mass_model(&MassModelData::Exact)),
-    ("piece of a table", |board| board.send_table(&TableChunk { offset: 0, values: [1.0].into_iter().collect() })),
     ("stage", stage_rules),
     ("scene of another rate", set_half_rate),
     ("more power", |board| rules_with(board, |rules| rules.limits.power *= 2.0)),

@@ -1,13 +1,9 @@
 //! Saved settings survive a reset, and the largest session leaves stack free.
 
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
-
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::SECOND;
 use haptic_host::backup::{Backup, restore};
-use haptic_predict::bench::precompute;
 
 /// A wall beyond the home pose of the pantograph, at 20 kHz.
 pub const WALL: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
@@ -41,26 +37,11 @@ fn unsaved_changes_are_lost_in_a_reset() {
     assert_eq!(rig.tool.device().expect("the board replies"), None);
 }
 
-fn send_largest_table(rig: &mut Rig) {
-    let file = rig.file.as_ref().expect("a device at the connectors");
-    let device = Device::<f64>::new(&file.name, &file.description).expect("a device");
-    let points = precompute::max_grid_points(&device);
-    let table = precompute::mass_table(&device, Interpolation::Bicubic, [points; 2], [[0.0; 2], [1.0; 2]]);
-    let table = table.expect("a table that fits");
-    assert_eq!(table.values.len(), 600);
-    for (offset, values) in (0..).step_by(64).zip(table.values.chunks(64)) {
-        let values = values.iter().copied().collect();
-        rig.tool.send_table(&TableChunk { offset, values }).expect("the board takes a piece");
-    }
-    rig.tool.set_mass_model(&table.data).expect("the board takes the table");
-}
-
 /// A restored backup needs the most stack, because the board decodes, checks and compiles everything at once.
 #[test]
 fn a_restored_backup_of_three_joints_leaves_stack_free() {
     let mut rig = Rig::with_device(BoardKind::HBridgeF405, "serial-3r", |_| ());
     rig.load(&"[[wall]]\npoint = [0.0, 9.0]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\n".repeat(3));
-    send_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
     let backup = Backup::read(&mut rig.tool).expect("the board replies");
     let ready = backup.prepared_settings().expect("everything is readable");

@@ -10,7 +10,6 @@ use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Out
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::{Rules, Status};
-use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
@@ -21,8 +20,6 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// Number of values of a table in one message.
-const VALUES_PER_MESSAGE: usize = 64;
 /// Retry interval and longest wait for a reply. The interval allows several retries within the 0.5 s after which a
 /// board may consider its host lost. [`Wire::slack`] is added to the wait.
 const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
@@ -194,14 +191,6 @@ impl Board {
     pub fn scene(&mut self) -> Result<Option<p::SceneData>, LinkError> {
         self.call::<p::GetScene>(&(), REPLY)
     }
-    /// Sets the source of the control step's mass matrix.
-    pub fn set_mass_model(&mut self, model: &MassModelData) -> Result<(), BoardError> {
-        self.change::<p::SetMassModel>(model)
-    }
-    /// Sends a piece of a precomputed table.
-    pub fn send_table(&mut self, chunk: &p::TableChunk) -> Result<(), BoardError> {
-        self.change::<p::SendTable>(chunk)
-    }
     /// Changes the gains of one wall, also while it is in contact.
     pub fn set_wall_gains(&mut self, gains: Gains<f32>) -> Result<(), BoardError> {
         self.change::<p::SetGains>(&GainsRequest { wall: Some(gains), estimator: None })
@@ -360,18 +349,6 @@ impl Board {
                 _ => return Ok(PolarityOutcome::Stopped),
             }
         }
-    }
-
-    /// Sends and applies a prepared mass matrix, while the motors are off. Sends nothing for the closed form, because
-    /// it is the default of every scene.
-    pub fn send_mass(&mut self, mass: &MassModelData, values: &[f32]) -> Result<(), BoardError> {
-        if *mass == MassModelData::Exact {
-            return Ok(());
-        }
-        for (offset, values) in (0_u16..).step_by(VALUES_PER_MESSAGE).zip(values.chunks(VALUES_PER_MESSAGE)) {
-            self.send_table(&TableChunk { offset, values: values.iter().copied().collect() })?;
-        }
-        self.set_mass_model(mass)
     }
 
     /// Starts a stream of `fields` at every `divider`-th step, and resets the count of losses.

@@ -8,7 +8,6 @@ use crate::board::protocol::{Commit, KeyList, WriteEntry};
 use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting};
 use crate::control::Rules;
 use crate::model::device::Device;
-use crate::model::precomputed::MassModelData;
 use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
 
@@ -35,7 +34,6 @@ impl Service {
             Key::Device => decode_setting::<Device<f32>>(entry).map(drop)?,
             Key::Scene => decode_setting::<Scene<f32>>(entry).map(drop)?,
             Key::Rules => decode_setting::<Rules>(entry).map(drop)?,
-            Key::MassModel => decode_setting::<MassModelData>(entry).map(drop)?,
             Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
@@ -51,8 +49,8 @@ impl Service {
     }
 
     /// Applies the settings staged under these keys and writes all of them to flash, or none. Other settings stay,
-    /// except that another device drops the mass model and a scene that does not fit, and another scene drops the mass
-    /// model. Flash then holds the same configuration, so that limits apply only to their own device.
+    /// except that another device drops a scene that does not fit. Flash then holds the same configuration, so that
+    /// limits apply only to their own device.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         let keys = &commit.keys;
@@ -79,33 +77,26 @@ impl Service {
         let rules: Option<Rules> = self.staged_value(machine, keys)?;
         let device: Option<Device<f32>> = self.staged_value(machine, keys)?;
         let scene: Option<Scene<f32>> = self.staged_value(machine, keys)?;
-        let mass: Option<MassModelData> = self.staged_value(machine, keys)?;
 
         let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
-        if matches!(mass, Some(MassModelData::Table(..))) {
-            return Err(Refusal::BadTable);
-        }
         if let Some(device) = &device {
             check_device::<Mc::Math>(device)?;
         }
         let same_device = device.is_none();
         let before = &self.configuration;
         let device = device.or_else(|| before.device.clone());
-        let (scene, mass) = match &device {
+        let scene = match &device {
             Some(device) => {
                 if let Some(scene) = &scene {
                     scene.check(task(device)).map_err(Refusal::Scene)?;
                 }
-                // A prepared matrix is valid only for its device and walls.
-                let kept_mass = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
-                let scene = scene.or_else(|| before.scene.clone().filter(|scene| scene_fits_device(scene, device)));
-                (scene, mass.unwrap_or(kept_mass))
+                scene.or_else(|| before.scene.clone().filter(|scene| scene_fits_device(scene, device)))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),
-            None => (None, before.mass.clone()),
+            None => None,
         };
-        Ok((Configuration { device, scene, mass, rules }, same_device))
+        Ok((Configuration { device, scene, rules }, same_device))
     }
 
     /// Returns the staged value of a setting if `keys` contains its key.

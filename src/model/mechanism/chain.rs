@@ -481,11 +481,6 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         geometry: &[("tip", 3), ("task", N)],
         gravity: 3,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = match N {
-        1 => &[(0, 0)],
-        2 => &[(0, 0), (1, 0), (1, 1)],
-        _ => &[(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)],
-    };
     type Pose = Pose<T, N>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -681,9 +676,5 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     fn is_prismatic(&self, joint: usize) -> bool {
         self.joints.get(joint).is_some_and(|joint| joint.prismatic)
-    }
-
-    fn shape(&self, q: &SVector<T, N>) -> [T; 2] {
-        [if N > 2 { q[1] } else { T::zero() }, if N > 1 { q[N - 1] } else { T::zero() }]
     }
 }

@@ -255,7 +255,6 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         are_links_optional: false,
         gravity: 3,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -458,8 +457,4 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         inertia
     }
 
-    /// M depends on all three angles. These coordinates are outside every table, so the closed form is used.
-    fn shape(&self, _: &Vector3<T>) -> [T; 2] {
-        [T::INFINITY; 2]
-    }
-}
+    /// M depends on all three angles. These coordinates are outside every table, so the closed form is used.}

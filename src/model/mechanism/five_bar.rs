@@ -290,7 +290,6 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         are_links_optional: false,
         gravity: 2,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -466,9 +465,5 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             row,
             w_eff: effective_inertia(&levers.mass(), &row),
         }
-    }
-
-    fn shape(&self, q: &Vector2<T>) -> [T; 2] {
-        [q[0], q[1]]
     }
 }

@@ -176,7 +176,6 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         are_links_optional: false,
         gravity: 3,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -432,9 +431,5 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
             row: Vector3::new(lever, row[0], row[1]),
             w_eff: inertia_with_turret(spin.inertia, lever, &levers.mass(), &row),
         }
-    }
-
-    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
-        [q[1], q[2]]
     }
 }

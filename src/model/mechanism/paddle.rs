@@ -69,11 +69,6 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
         geometry: if N == 1 { &[("length", 1)] } else { &[("lengths", N)] },
         gravity: 2,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = match N {
-        1 => &[(0, 0)],
-        2 => &[(0, 0), (1, 1)],
-        _ => &[(0, 0), (1, 1), (2, 2)],
-    };
     type Pose = Pose<T, N>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -171,8 +166,4 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
     }
     fn repeats(&self, _: usize) -> bool {
         false
-    }
-    fn shape(&self, _: &SVector<T, N>) -> [T; 2] {
-        [T::zero(); 2]
-    }
-}
+    }}

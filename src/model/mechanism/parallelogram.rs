@@ -155,7 +155,6 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         are_links_optional: false,
         gravity: 3,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -366,9 +365,5 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             row,
             w_eff: inertia_with_turret(turret, row[0], &arms, &Vector2::new(row[1], row[2])),
         }
-    }
-
-    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
-        [q[1], q[2]]
     }
 }

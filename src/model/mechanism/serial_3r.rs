@@ -137,7 +137,6 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         are_links_optional: false,
         gravity: 2,
     };
-    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -317,9 +316,5 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
             row: joint_torques(&moments),
             w_eff: effective_inertia(&mass, &moments),
         }
-    }
-
-    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
-        [q[1], q[2]]
     }
 }

@@ -5,10 +5,9 @@ use super::guidance::SharedGuidance;
 use super::regularity::{clearance, fade, velocity_term_share};
 use super::walls::{BiasScope, ContactGroup, ShapedContact};
 use super::{Controller, task_part};
-use crate::math::{Angle, Math, Real};
+use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
-use crate::model::precomputed::MassModel;
+use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose, shared_shaping};
 use crate::model::principal::Principal;
 use crate::model::solve::solve_symmetric;
 use crate::render::scene::{Admissible, MAX_WALLS, VelocityTerms};
@@ -19,8 +18,6 @@ use nalgebra::SVector;
 /// Values that every part of the general step uses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepStart<'a, T: Real, P, const N: usize> {
-    /// Joint angles without complete turns.
-    angles: [Angle<T>; N],
     /// Filtered joint velocities, rad/s.
     qd: SVector<T, N>,
     pose: &'a P,
@@ -40,7 +37,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
         Self::write_motion(&qd, &tip, result);
         result.parallel = regularity.parallel;
-        let mut start = StepStart { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
+        let mut start = StepStart { qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
         let (mut torque, rendered, force) = self.render_any_scene(&mut start, counts, result);
         let asked = &mut result.asked;
         torque += self.write_gravity(&pose, asked);
@@ -66,7 +63,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             (start.qd, along) = self.observe(start.pose, counts, &start.qd);
             put(&start.qd, &mut result.at.qd);
         }
-        let StepStart { angles, qd, pose, place, regularity } = &*start;
+        let StepStart { qd, pose, place, regularity } = &*start;
 
         let mut more: Vec<ShapedContact<T, N>, MAX_WALLS> = Vec::new();
         let along = uses_joints.then_some(&along);
@@ -97,7 +94,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 && more.is_empty()
                 && !shared.acts
             {
-                let limited = first.shaped * self.share_below_pole(angles, pose, &first.normal, gain);
+                let limited = first.shaped * self.share_below_pole(pose, &first.normal, gain);
                 plain += first.normal * (first.shaped - limited);
                 first.shaped = limited;
             }
@@ -196,8 +193,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// = Weff/(1 - α ρ) with ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The largest effective gain is half way
     /// from 1 to the pole, at (1 + 1/ρ)/2, where m is twice Wrr.
     #[inline(never)]
-    pub(super) fn share_below_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
-        let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
+    pub(super) fn share_below_pole(&self, pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
+        let shaping = self.hold_coordinate(shared_shaping(&self.mechanism, pose, n), pose);
         let row = self.mechanism.transpose(pose, n);
         let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
         let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
@@ -217,21 +214,19 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         force: &SVector<T, N>,
         share: T,
     ) -> (SVector<T, N>, SVector<T, N>) {
-        let StepStart { angles, qd, pose, place, .. } = start;
-        let q = &radians(angles);
+        let StepStart { qd, pose, place, .. } = start;
         if share <= T::zero() {
             return (SVector::zeros(), *force);
         }
         if more.is_empty() && !shared.acts {
-            let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
+            let shaping = self.hold_coordinate(shared_shaping(&self.mechanism, pose, &first.normal), pose);
             let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(first));
             (shaping.torque(first.shaped, &b, &subtracted) * share, force * (T::one() - share))
         } else {
             let mut pulls = Vec::new();
             let group = ContactGroup::new::<K>(first, more, &self.guidance, shared, place, M::SPEC.task, &mut pulls);
-            let along = |i| {
-                self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &group.principal.direction(i)), pose)
-            };
+            let along =
+                |i| self.hold_coordinate(shared_shaping(&self.mechanism, pose, &group.principal.direction(i)), pose);
             let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
             let of_level = |level| self.bias(pose, place, qd, &BiasScope::Level(&group, level));
@@ -241,7 +236,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let bias = |level| self.has_bias.then(|| same.unwrap_or_else(|| of_level(level)));
             let first = &group.principal.direction(0);
             let share_of_gain = |gain| {
-                let limit = gain * self.share_below_pole(angles, pose, first, gain);
+                let limit = gain * self.share_below_pole(pose, first, gain);
                 (T::one() + (limit - T::one()) * single_wall_weight(&group.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), share_of_gain);
@@ -268,7 +263,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             if M::SPEC.task > 1 && self.walls.has_curved_wall {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 let acceleration = self.walls.normal_turn_acceleration::<K, N>(place, &velocity, scope);
-                b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
+                b += shared_shaping(&self.mechanism, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
                 let qdd_bias = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
@@ -287,12 +282,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     pub(super) fn velocity_term_share(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
         velocity_term_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
     }
-}
-
-/// Converts angles to radians, for a precomputed mass matrix.
-#[inline(always)]
-fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
-    SVector::from_fn(|i, _| angles[i].radians)
 }
 
 /// Returns the similarity of several walls to a single wall: a smooth step from 1 for coinciding walls to 0 if the

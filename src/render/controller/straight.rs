@@ -16,7 +16,6 @@ use super::{Controller, task_part};
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::{Mechanism, Regularity, ShapedTorque};
-use crate::model::precomputed::MassModel;
 use crate::render::controller::walls::{BiasScope, ShapedContact};
 use crate::render::scene::{Admissible, VelocityTerms};
 use crate::render::step_result::{GuidanceDemand, StepResult, TorqueDemand, put};
@@ -182,17 +181,16 @@ pub(super) enum StepVariant {
 }
 
 impl StepVariant {
-    /// Returns the variant of the controller's scene. Straight steps use the closed form, a low-pass after the backward
-    /// difference and α = 1. Only straight steps in the plane combine guidance with walls that have the feed-forward.
+    /// Returns the variant of the controller's scene. Straight steps use a low-pass after the backward difference
+    /// and α = 1. Only straight steps in the plane combine guidance with walls that have the feed-forward.
     pub fn of<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(controller: &Controller<T, M, K, N>) -> Self {
-        let Controller { walls, velocity_terms, mass, admissible, posture, coefficients, guidance, .. } = controller;
-        let closed_form =
-            matches!(mass, MassModel::Exact) && (M::SPEC.task == N || *admissible == Admissible::Orientation);
+        let Controller { walls, velocity_terms, admissible, posture, coefficients, guidance, .. } = controller;
+        let holds_orientation = M::SPEC.task == N || *admissible == Admissible::Orientation;
         let shares_feed_forward = guidance.is_active && guidance.shares_feed_forward();
         let planar = N == 2 && M::SPEC.task == 2;
         // Each wall contributes to the bias if normals of several walls turn or walls compensate damping.
         let flat = !walls.compensates_damping && (*velocity_terms == VelocityTerms::Off || !walls.has_curved_wall);
-        let usual = closed_form && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
+        let usual = holds_orientation && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
         if !usual {
             Self::General
         } else if walls.has_at_most_one_wall() && !shares_feed_forward {

@@ -30,12 +30,11 @@ pub struct Args {
 }
 
 const COLUMN_LEGEND: &str = "
-variant: mechanism/trigonometry/mass matrix/terms
+variant: mechanism/trigonometry/exact/terms (exact: the mass matrix in closed form)
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
-  mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can reach, for each cause alone:
-  left out: terms that are not computed, or that fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
+  left out: terms that are not computed, or that fade near singular poses (20 kHz, 500 Hz);
   rounding: f32 and trigonometry in the torque; tip: f32 and trigonometry in the tip's position, times 20 kN/m
 area: remaining share of the exact feed-forward's stable area of stiffness and damping, at the worst pose
 front: no variant of the same mechanism is both cheaper and nearer to the ideal force (without the fade near singular poses)
@@ -72,13 +71,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return print_json(json!({ "variants": variants }));
     }
     let mut text = format!(
-        "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}{:>12}{:>9}\n",
-        "variant", "target", "instructions", "ns", "left out", "matrix", "rounding", "tip", "area"
+        "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}{:>9}\n",
+        "variant", "target", "instructions", "ns", "left out", "rounding", "tip", "area"
     );
     for variant in every.iter().flat_map(|(_, variants)| variants) {
-        let ErrorSources { dropped, model, rounding, tip, area, .. } = variant.parts;
+        let ErrorSources { dropped, rounding, tip, area, .. } = variant.parts;
         text.push_str(&format!(
-            "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{model:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
+            "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
             variant.name,
             variant.target,
             variant.instructions.map_or("-".into(), |count| count.to_string()),

@@ -142,23 +142,17 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
 
 fn plan_as_json(plan: &Plan) -> Value {
     json!({
-        "model": plan.mass.name(), "terms": plan.terms.name(), "instructions": plan.instructions,
-        "table_bytes": plan.mass.bytes(), "errors": plan.errors, "reasons": plan.reasons,
-        "candidates": plan.candidates,
+        "terms": plan.terms.name(), "instructions": plan.instructions, "errors": plan.errors,
+        "reasons": plan.reasons, "candidates": plan.candidates,
     })
 }
 
 /// Describes the chosen computation with its cost, its error and the reasons.
 fn plan_in_words(plan: &Plan) -> String {
-    let table = match plan.mass.bytes() {
-        0 => String::new(),
-        bytes => format!(", with a table of {bytes} bytes"),
-    };
     let mut text = format!(
-        "  a board will compute terms {}, mass matrix {}{table}: {} instructions a control step at the slowest pose\n  \
+        "  a board will compute terms {}: {} instructions a control step at the slowest pose\n  \
          error left: {} at the tip nearly everywhere, at worst {} of the motors' torque ({:.1} steps of the duty)\n",
         plan.terms.name(),
-        plan.mass.name(),
         plan.instructions,
         newtons(plan.errors.force.most),
         percent(plan.errors.share.max),

@@ -90,7 +90,6 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
         "map" => &["haptic map devices/coupled-five-bar.toml --normal 0,1 --png map.png"],
-        "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
         "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
         "tune estimators" => &["haptic tune estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
         "tune" => &[

@@ -35,7 +35,6 @@ mod new;
 mod plot;
 mod polarity;
 mod port;
-mod precompute;
 mod range;
 mod read_back;
 mod record;
@@ -119,7 +118,6 @@ commands! {
     }
     UNLISTED_HEADING {
         (Bench, bench)
-        (Precompute, precompute)
         (Udev, udev)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::port::{OnBoard, confirm, warn_of_weaker_rules};
 use haptic_bridge::board::settings::Key;
-use haptic_host::backup::{Backup, PreparedSetting, RestoreMethod, restore};
+use haptic_host::backup::{Backup, FORMER_SETTING, PreparedSetting, RestoreMethod, restore};
 use haptic_host::error::{Failure, on_one_line};
 use haptic_host::toml_file::Document;
 use serde_json::json;
@@ -56,6 +56,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             RestoreMethod::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
             RestoreMethod::NotRestored => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
         };
+    }
+    if backup.settings.contains_key(FORMER_SETTING) {
+        report += &format!("{FORMER_SETTING}: left out; this firmware always computes the exact mass matrix\n");
     }
     if from_another {
         report += "name: unchanged; `haptic board name` changes it\n";

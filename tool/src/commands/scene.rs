@@ -20,8 +20,7 @@ use std::path::{Path, PathBuf};
 /// Load a scene (walls, springs, fields) onto a board, or read it back
 ///
 /// Chooses the cheapest sufficiently accurate computation, which `haptic check` shows: no mass matrix for a scene
-/// without feed-forward, no velocity terms if they are negligible, a precomputed mass matrix if that is cheaper and
-/// accurate enough. While the motors are armed a scene is loaded as it is in the file, and only if it has the same
+/// without feed-forward, no velocity terms if they are negligible. While the motors are armed a scene is loaded as it is in the file, and only if it has the same
 /// control rate and its walls are not touched.
 ///
 /// The output of --read gives a board the same scene to the bit. A comparison with FILE ignores a feed-forward and
@@ -65,7 +64,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let plan = plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed)?;
     let scene = plan.load(&mut board)?;
     let document = json!({
-        "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
+        "scene": scene, "planned": true, "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
     args.on.answer(document, &(loaded_message(&name.to_string(), &board, &scene) + args.on.warn_if_temporary()))

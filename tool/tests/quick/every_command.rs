@@ -10,7 +10,7 @@ use std::path::Path;
 /// A command line and the beginning of its output.
 type CommandCase = (&'static str, &'static str);
 
-const COMMANDS_WITHOUT_BOARD: [CommandCase; 17] = [
+const COMMANDS_WITHOUT_BOARD: [CommandCase; 16] = [
     ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
     ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
     ("new scene --device mine.toml -o wall.toml", "wall.toml: a wall in front of mine at home; then `haptic check"),
@@ -18,10 +18,6 @@ const COMMANDS_WITHOUT_BOARD: [CommandCase; 17] = [
     ("check devices/hapkit-paddle.toml", "devices/hapkit-paddle.toml: sound: hapkit-paddle"),
     ("model devices/hapkit-paddle.toml", "hapkit-paddle (paddle)"),
     ("map devices/hapkit-paddle.toml --normal 1 --points 20", "hapkit-paddle: 20 poses"),
-    (
-        "precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3 -o frozen.json",
-        "haply-2diy: frozen mass",
-    ),
     ("bench devices/hapkit-paddle.toml", "variant "),
     ("range devices/hapkit-paddle.toml --normal 1", "hapkit-paddle: q = (0.000) rad, n = (1.000)"),
     (
@@ -58,7 +54,7 @@ const COMMANDS_WITH_BOARD: [CommandCase; 25] = [
     ("faults --clear", "no fault was latched"),
     ("board name bench", "this board is called bench"),
     ("board save", "saved: the board starts with this device and scene"),
-    ("board backup board.json", "board.json: device, mass-model, name, rules, scene"),
+    ("board backup board.json", "board.json: device, name, rules, scene"),
     ("board restore board.json", "rules: restored"),
     ("board restart", "the board restarts: it has the saved settings"),
     ("board dfu", "the board restarts into its boot loader"),
@@ -105,7 +101,7 @@ fn every_command_with_a_board_succeeds() {
 }
 
 /// Commands that no help page lists.
-const UNLISTED_COMMANDS: [&str; 3] = ["bench", "precompute", "udev"];
+const UNLISTED_COMMANDS: [&str; 2] = ["bench", "udev"];
 
 fn commands() -> BTreeSet<String> {
     let page = output(&["help"]);
@@ -115,7 +111,7 @@ fn commands() -> BTreeSet<String> {
 }
 
 /// Commands whose examples are run. Examples of other commands need a board, a recording, or more than a second.
-const COMMANDS_WITH_RUN_EXAMPLES: [&str; 5] = ["new", "check", "model", "precompute", "range"];
+const COMMANDS_WITH_RUN_EXAMPLES: [&str; 4] = ["new", "check", "model", "range"];
 
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {

@@ -4,7 +4,6 @@ use crate::common::prelude::*;
 use crate::common::{plane_wall, shipped_device, shipped_path};
 use haptic_bridge::render::controller::Controller;
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, error_sources, errors};
-use haptic_predict::bench::precompute::PrecomputedModel;
 use haptic_predict::bench::probe::Probe;
 use haptic_predict::plan::{Budget, plan};
 use nalgebra::{Matrix2, Vector2};
@@ -153,8 +152,7 @@ fn faded_velocity_terms_count_as_an_error() {
         assert!((0..2).all(|i| b[i].abs() < motor(i).torque_constant * motor(i).max_current), "{name}: {b}");
         for rate in RATES_AND_CUTOFFS_HZ {
             let law = law(&device, VelocityTerms::Rendered, rate);
-            let model = &PrecomputedModel::default();
-            let way = TorqueVariant { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
+            let way = TorqueVariant { terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
             let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
             // The error of faded terms does not count against the planner's choice.
@@ -218,12 +216,7 @@ fn omitted_velocity_terms_cost_their_force() {
         // Leave out the error of single counts.
         let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES_AND_CUTOFFS_HZ[1]) };
         let found = |terms| {
-            let way = TorqueVariant {
-                model: &PrecomputedModel::default(),
-                terms,
-                trigonometry: Trigonometry::Tabulated,
-                law,
-            };
+            let way = TorqueVariant { terms, trigonometry: Trigonometry::Tabulated, law };
             errors(&device, &probes, &way).whole.force.max
         };
         let left = links.tip_force(&q, &added).norm();

@@ -17,7 +17,7 @@ struct Variant {
     instructions: u32,
 }
 
-/// Returns the instruction counts by name, `mechanism/trigonometry/mass model/terms`.
+/// Returns the instruction counts by name, `mechanism/trigonometry/exact/terms`.
 fn counts_by_name() -> &'static BTreeMap<String, u32> {
     static COUNTS: OnceLock<BTreeMap<String, u32>> = OnceLock::new();
     COUNTS.get_or_init(|| {
@@ -27,8 +27,8 @@ fn counts_by_name() -> &'static BTreeMap<String, u32> {
 }
 
 /// Returns the instructions of a complete control step at its slowest pose, or `None` if the variant was not counted.
-pub fn instructions(mechanism: &str, trigonometry: &str, model: &str, terms: &str) -> Option<u32> {
-    counts_by_name().get(&format!("{mechanism}/{trigonometry}/{model}/{terms}")).copied()
+pub fn instructions(mechanism: &str, trigonometry: &str, terms: &str) -> Option<u32> {
+    counts_by_name().get(&format!("{mechanism}/{trigonometry}/exact/{terms}")).copied()
 }
 
 #[cfg(test)]
@@ -39,21 +39,15 @@ mod tests {
     fn every_variant_of_every_mechanism_is_counted() {
         for mechanism in haptic_bridge::model::catalogue::Kind::ALL {
             for trigonometry in ["table", "minimax", "micromath"] {
-                let models: &[_] = match trigonometry {
-                    "micromath" => &["exact"],
-                    _ => &["exact", "bilinear", "bicubic", "frozen"],
-                };
-                for model in models {
-                    for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
-                        let name = mechanism.spec().label;
-                        let result = instructions(name, trigonometry, model, terms);
-                        assert!(result.is_some(), "{name}/{trigonometry}/{model}/{terms}");
-                    }
+                for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
+                    let name = mechanism.spec().label;
+                    let result = instructions(name, trigonometry, terms);
+                    assert!(result.is_some(), "{name}/{trigonometry}/{terms}");
                 }
             }
             for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
                 let terms = format!("feed-forward, {estimator}");
-                let result = instructions(mechanism.spec().label, "table", "exact", &terms);
+                let result = instructions(mechanism.spec().label, "table", &terms);
                 assert!(result.is_some(), "{}, {estimator}", mechanism.spec().label);
             }
         }

@@ -4,7 +4,6 @@
 //! variant omits them, or if the board fades them because its velocity estimates lag. A torque error is expressed as
 //! the force J⁻ᵀ Δτ at the tip, which a hand would have to hold.
 
-use crate::bench::precompute::PrecomputedModel;
 use crate::bench::probe::Probe;
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
@@ -12,7 +11,6 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::inertia::frame_rate;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
 use haptic_bridge::render::controller::{beyond_uncertainty, velocity_term_share};
 use haptic_bridge::render::scene::{Scene, VelocityTerms};
@@ -111,9 +109,7 @@ pub enum Trigonometry {
 
 /// A variant of the torque computation.
 #[derive(Clone, Copy, Debug)]
-pub struct TorqueVariant<'a> {
-    /// Mass model.
-    pub model: &'a PrecomputedModel,
+pub struct TorqueVariant {
     /// Terms of equation (4).
     pub terms: Terms,
     /// Implementation of sines, cosines and square roots.
@@ -168,10 +164,9 @@ pub struct VariantErrors {
     pub unfaded_errors: Errors,
 }
 
-/// Computes the joint torques (N m) of `probe` with a mass model and terms, in the precision `T`.
+/// Computes the joint torques (N m) of `probe` with these terms, in the precision `T`.
 pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
-    mass: &MassModel<T, N>,
     terms: Terms,
     law: Law,
     probe: &Probe,
@@ -184,7 +179,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     let torque = if terms == Terms::None {
         mechanism.transpose(&pose, &(n * force))
     } else {
-        let shaping = mass.shaping(mechanism, &q, &pose, &n);
+        let shaping = mechanism.shaping(&pose, &n);
         let mut b = SVector::zeros();
         if terms == Terms::FeedForwardZ {
             let qd = law.velocities(probe);
@@ -224,14 +219,14 @@ macro_rules! with_trigonometry {
 pub(super) use with_trigonometry;
 
 /// Computes the errors of a variant over `probes`.
-pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> VariantErrors {
+pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant) -> VariantErrors {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => compare::<K, _, _, _>(device, exact, &exact.cast(), probes, way))
     })
 }
 
 /// Computes the sources of a variant's error over `probes`.
-pub fn error_sources(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> ErrorSources {
+pub fn error_sources(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant) -> ErrorSources {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => error_sources_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
     })
@@ -242,10 +237,9 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
+    &TorqueVariant { terms, law, .. }: &TorqueVariant,
 ) -> VariantErrors {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return VariantErrors::default() };
-    let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
+    let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, terms, law, probe)).collect();
     let against = |law: Law| errors_against::<E, N>(device, exact, probes, &torques, law);
     VariantErrors { whole: against(law.without_fading()), unfaded_errors: against(law) }
 }
@@ -285,7 +279,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     law: Law,
     probe: &Probe,
 ) -> [f64; MAX_JOINTS] {
-    torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
+    torque::<f64, Libm, E, N>(exact, terms, law, probe)
 }
 
 /// Returns the error of each joint torque, N m; infinity for a torque that is not finite.
@@ -317,8 +311,6 @@ pub struct ErrorSources {
     pub dropped: f64,
     /// 90th percentile of `dropped`.
     pub dropped_mostly: f64,
-    /// Force at the tip by the error of the mass model, N.
-    pub model: f64,
     /// Force at the tip by the torque error from f32 rounding and trigonometry, N.
     pub rounding: f64,
     /// Tip position error from f32 rounding and trigonometry, times [`TIP_ERROR_STIFFNESS`], N.
@@ -331,20 +323,17 @@ fn error_sources_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, co
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
+    &TorqueVariant { terms, law, .. }: &TorqueVariant,
 ) -> ErrorSources {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return ErrorSources::default() };
     let mut parts = ErrorSources { area: f64::INFINITY, ..ErrorSources::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
     let mut dropped = Vec::new();
     for probe in probes {
         let tip_error = |a, b| force_at_tip::<E, N>(exact, probe, difference(a, b));
-        let closed = torque::<f32, K, B, N>(board, &MassModel::Exact, terms, law, probe);
+        let actual = torque::<f32, K, B, N>(board, terms, law, probe);
         let same = reference::<E, N>(exact, terms, law, probe);
         dropped.push(tip_error(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.without_fading(), probe)));
-        more(&mut parts.rounding, tip_error(closed, same));
-        let prepared = torque::<f32, K, B, N>(board, &mass, terms, law, probe);
-        more(&mut parts.model, tip_error(prepared, closed));
+        more(&mut parts.rounding, tip_error(actual, same));
 
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
         let pose = exact.pose::<Libm>(&q);
@@ -357,7 +346,7 @@ fn error_sources_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, co
         // The effective inertia at rest follows from the acceleration for a force of 1 N.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
-        let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);
+        let newton = torque::<f32, K, B, N>(board, without, law, &resting);
         let n = SVector::<f64, N>::from_fn(|i, _| probe.normal[i]);
         let moved = solve_symmetric(&exact.mass(&pose), &SVector::from_fn(|i, _| newton[i]));
         let met = 1.0 / exact.transpose(&pose, &n).dot(&moved);

@@ -5,14 +5,12 @@ use crate::bench::error::{
     ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
     errors, with_trigonometry,
 };
-use crate::bench::precompute::{PrecomputedModel, frozen_model, mass_table, max_grid_points, shape_range};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Math;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::model::shipped;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
@@ -44,7 +42,7 @@ pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
 /// Cost and error of one variant on one target.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variant {
-    /// `mechanism/trigonometry/mass model/terms`
+    /// `mechanism/trigonometry/exact/terms`
     pub name: String,
     /// Name of the mechanism.
     pub mechanism: &'static str,
@@ -90,10 +88,6 @@ fn law(device: &Device<f64>) -> Result<Law, Failure> {
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
-    let (points, range) = (max_grid_points(device), shape_range(device, &probes));
-    let mut models = vec![PrecomputedModel::default(), frozen_model(device, &probes)];
-    models.extend(mass_table(device, Interpolation::Bilinear, [points; 2], range));
-    models.extend(mass_table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
     let trigonometries = [
         (Trigonometry::Tabulated, "table"),
@@ -101,32 +95,26 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
         (Trigonometry::Micromath, "micromath"),
     ];
     for (trigonometry, name) in trigonometries {
-        for model in &models {
-            for terms in Terms::ALL {
-                let exact_only = terms == Terms::None || trigonometry == Trigonometry::Micromath;
-                if exact_only && model.name() != "exact" {
-                    continue;
-                }
-                let way = TorqueVariant { model, terms, trigonometry, law };
-                let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
-                let variant = |target, instructions, nanoseconds| Variant {
-                    name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
-                    mechanism: spec.name,
-                    target,
-                    instructions,
-                    nanoseconds,
-                    error_max: errors.whole.torque.max,
-                    error_rms: errors.whole.torque.rms,
-                    errors: errors.whole,
-                    unfaded_errors: errors.unfaded_errors,
-                    parts,
-                    pareto: false,
-                };
-                let count = counts::instructions(spec.name, name, model.name(), terms.name());
-                results.push(variant("cortex-m4f", count, None));
-                if timed {
-                    results.push(variant("host", None, Some(torque_time_ns(device, &probes, &way))));
-                }
+        for terms in Terms::ALL {
+            let way = TorqueVariant { terms, trigonometry, law };
+            let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
+            let variant = |target, instructions, nanoseconds| Variant {
+                name: format!("{}/{name}/exact/{}", spec.name, terms.name()),
+                mechanism: spec.name,
+                target,
+                instructions,
+                nanoseconds,
+                error_max: errors.whole.torque.max,
+                error_rms: errors.whole.torque.rms,
+                errors: errors.whole,
+                unfaded_errors: errors.unfaded_errors,
+                parts,
+                pareto: false,
+            };
+            let count = counts::instructions(spec.name, name, terms.name());
+            results.push(variant("cortex-m4f", count, None));
+            if timed {
+                results.push(variant("host", None, Some(torque_time_ns(device, &probes, &way))));
             }
         }
     }
@@ -154,7 +142,7 @@ fn mark_pareto_front(variants: &mut [Variant]) {
 }
 
 /// Returns the time of one torque computation on this computer, ns: the best of five runs over up to 1000 probes.
-fn torque_time_ns(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
+fn torque_time_ns(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
     })
@@ -163,15 +151,14 @@ fn torque_time_ns(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_
 fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     m: &M,
     probes: &[Probe],
-    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
+    &TorqueVariant { terms, law, .. }: &TorqueVariant,
 ) -> f64 {
-    let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
     let run = || {
         let start = Instant::now();
         for probe in some {
             let torque: [f64; MAX_JOINTS] =
-                crate::bench::error::torque::<f32, K, M, N>(m, &mass, terms, law, black_box(probe));
+                crate::bench::error::torque::<f32, K, M, N>(m, terms, law, black_box(probe));
             black_box(torque);
         }
         start.elapsed().as_secs_f64() * 1.0e9 / some.len() as f64
@@ -182,7 +169,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 /// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
 pub fn variant_table(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let head = "mechanism,device,trigonometry,mass matrix,terms,instructions,terms left out (N),left out in 90 % (N),\
-                mass matrix (N),rounding (N),tip (N),area (%),duty (steps),front";
+                rounding (N),tip (N),area (%),duty (steps),front";
     let mut text = csv_line(head.split(','));
     for (device, variants) in every {
         let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
@@ -191,8 +178,8 @@ pub fn variant_table(every: &[(Device<f64>, Vec<Variant>)]) -> String {
             let mut cells = vec![variant.mechanism.to_owned(), device.name.to_string()];
             cells.extend(variant.name.split('/').skip(1).map(String::from));
             cells.push(format_count(variant.instructions));
-            let ErrorSources { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
-            cells.extend([dropped, dropped_mostly, model, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
+            let ErrorSources { dropped, dropped_mostly, rounding, tip, area } = variant.parts;
+            cells.extend([dropped, dropped_mostly, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
             let front = if variant.pareto { "F" } else { "" };
             cells.extend([format!("{:.1}", 100.0 * area), format_steps(variant.errors.duty.max), front.into()]);
             text += &csv_line(cells);
@@ -219,7 +206,7 @@ pub fn mechanism_table(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, 
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
             let terms = format!("feed-forward, {estimator}");
-            format_count(counts::instructions(spec.name, BoardMath::NAME, "exact", &terms))
+            format_count(counts::instructions(spec.name, BoardMath::NAME, &terms))
         }));
         text += &csv_line(cells);
     }

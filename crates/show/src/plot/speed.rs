@@ -65,7 +65,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         .finish(title, "Instructions of the best variants of each mechanism over their error of the force at the tip.")
 }
 
-/// Returns the terms of a variant, with its trigonometry and mass matrix if they are not the firmware's.
+/// Returns the terms of a variant, with its trigonometry if it is not the firmware's.
 fn short_name(name: &str) -> String {
     let parts = name.split('/').skip(1).filter(|part| !["table", "exact"].contains(part));
     parts.map(|part| if part == "none" { "no terms" } else { part }).collect::<Vec<_>>().join(", ")

@@ -22,29 +22,28 @@ fn plan_of(device: &Device<f64>, file: &SceneFile) -> Plan {
 #[test]
 fn shipped_scenes_have_the_expected_plans() {
     let wanted = [
-        ("haply-2diy", "wall-soft", ("exact", Terms::None)),
-        ("coupled-five-bar", "tracing", ("exact", Terms::FeedForward)),
-        ("coupled-five-bar", "wall", ("exact", Terms::FeedForwardZ)),
-        ("hapkit-paddle", "wall", ("exact", Terms::None)),
-        ("phantom-premium-1.5", "ramp", ("exact", Terms::FeedForwardZ)),
+        ("haply-2diy", "wall-soft", Terms::None),
+        ("coupled-five-bar", "tracing", Terms::FeedForward),
+        ("coupled-five-bar", "wall", Terms::FeedForwardZ),
+        ("hapkit-paddle", "wall", Terms::None),
+        ("phantom-premium-1.5", "ramp", Terms::FeedForwardZ),
     ];
-    for (name, file, (model, terms)) in wanted {
+    for (name, file, terms) in wanted {
         let device = device(name);
         let plan = plan_of(&device, &scene(&device, file));
-        assert_eq!((plan.mass.name(), plan.terms), (model, terms), "{name} {file}");
+        assert_eq!(plan.terms, terms, "{name} {file}");
     }
 }
 
 #[test]
 fn a_looser_budget_leaves_the_velocity_terms_out() {
     let device = device("coupled-five-bar");
-    // Without the velocity terms the error is a twentieth of the force on this disc. A single mass matrix would have an
-    // error of a quarter and take longer.
+    // Without the velocity terms the error is a twentieth of the force on this disc.
     let scene = scene(&device, "tracing").scene;
     let loose_plan = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
-    assert_eq!((loose_plan.mass.name(), loose_plan.terms), ("exact", Terms::FeedForward));
+    assert_eq!(loose_plan.terms, Terms::FeedForward);
     let tight_plan = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
-    assert_eq!((tight_plan.mass.name(), tight_plan.terms), ("exact", Terms::FeedForwardZ));
+    assert_eq!(tight_plan.terms, Terms::FeedForwardZ);
     assert!(loose_plan.instructions < tight_plan.instructions);
 }
 
@@ -60,7 +59,7 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         plain_scene.walls[0].feed_forward = FeedForward::Off;
         let mut empty_scene = plain_scene.clone();
         empty_scene.walls.clear();
-        let costs = [two, one, without_terms, plain_scene, empty_scene].map(|scene| cost(&device, &scene, "exact"));
+        let costs = [two, one, without_terms, plain_scene, empty_scene].map(|scene| cost(&device, &scene));
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
     }
@@ -83,7 +82,7 @@ fn the_budget_is_kept_at_poses_that_the_planner_did_not_use() {
         let elsewhere = probes_on_walls(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
         let law = Law::of(&file.scene, &device).unwrap();
-        let way = TorqueVariant { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
+        let way = TorqueVariant { terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
         let errors = errors(&device, &elsewhere, &way).unfaded_errors;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }
