@@ -393,3 +393,23 @@ fn control_characters_of_a_file_do_not_reach_the_terminal() {
         assert!(printed.chars().all(|c| !c.is_control() || c == '\n'), "{arguments:?}: {printed:?}");
     }
 }
+
+#[test]
+fn a_model_is_converted_and_named_where_it_is_no_device_file() {
+    let folder = Folder::new();
+    let inertial = r#"<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>"#;
+    let tip = format!(r#"<body name="b" pos="0.1 0 0">{inertial}</body>"#);
+    let arm = format!(r#"<body name="a">{inertial}<joint name="j"/>{tip}</body>"#);
+    let model = folder.write("arm.xml", format!("<mujoco><worldbody>{arm}</worldbody></mujoco>"));
+    let device = folder.path("arm.toml");
+    let table = format!(
+        "new --from {model} -o {device} => a chain of 1 joint; then `haptic check | Tip: origin of b
+         new --from {model} --tip b --joints j => mechanism = \"chain\" | verified = false
+         2: new --from {model} --joints k => no joint \"k\" | (--joints)
+         2: new --from {model} --tip c => no body is named \"c\" | (--tip)
+         2: new five-bar --from {model} => cannot be used with
+         2: new --tip a => --from
+         2: check {model} => this is MJCF | (haptic new --from FILE -o OUT.toml)"
+    );
+    type_lines(&table, &[]);
+}
