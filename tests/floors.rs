@@ -10,9 +10,10 @@ const LEVELS: [&[&str]; 6] =
     [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["control"], &["board"]];
 
 /// The source folders of the host's crates, the tool last. Cargo prevents imports of a crate by a lower crate.
-const HOST_FOLDERS: [&str; 7] = [
+const HOST_FOLDERS: [&str; 8] = [
     "host/src",
     "crates/flash/src",
+    "crates/import/src",
     "crates/sim/src",
     "crates/stability/src",
     "crates/predict/src",

@@ -43,6 +43,12 @@ pub enum Choice {
     Fields,
     /// The firmware to flash.
     Image,
+    /// Conversion of a model in another format.
+    Conversion,
+    /// The body of a converted model whose origin is the tip.
+    Tip,
+    /// The joints of a converted model that move.
+    Joints,
 }
 
 /// A failed command: a reason on one line, and further lines for a file with several errors.

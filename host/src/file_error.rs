@@ -2,6 +2,7 @@
 //!
 //! Each error is one line: `file:line:column: problem; remedy`. All errors that one pass can find are reported at once.
 
+use crate::error::Choice;
 use core::fmt;
 use std::path::PathBuf;
 
@@ -257,33 +258,40 @@ pub struct ForeignFormat {
 }
 
 impl ForeignFormat {
-    /// Detects the format of a text that is not TOML by its first line.
+    /// URDF that the program xacro has yet to expand.
+    pub const XACRO: Self = Self {
+        name: "xacro (a template of a URDF file)",
+        remedy: "expand it by `xacro FILE -o OUT.urdf` of ROS, then convert OUT.urdf to a device file",
+    };
+
+    /// Detects the format of a text that is not TOML by its first lines.
     pub fn of(text: &str) -> Option<&'static Self> {
-        const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \
-                                limits from this file (docs/devices.md)";
-        const WRITE: &str = "write the file as TOML: `haptic new` shows every key (docs/devices.md)";
+        const CONVERT: &str = "convert it to a device file";
+        const EXPORT: &str =
+            "write it as TOML (`haptic new` shows every key), or export it as URDF or MJCF and convert that";
         let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
         let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
         let key = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "_- ".contains(c));
-        Some(match () {
-            () if text.starts_with('<') && text.contains("xacro") => {
-                &Self { name: "xacro (a URDF template)", remedy: DESCRIBE }
+        Some(match text.starts_with('<') {
+            true if ["<xacro:", "${", "$("].iter().any(|sign| text.contains(sign)) => &Self::XACRO,
+            true if text.contains("<robot") => &Self { name: "URDF", remedy: CONVERT },
+            true if text.contains("<mujoco") => &Self { name: "MJCF (a MuJoCo model)", remedy: CONVERT },
+            true if text.contains("<sdf") => &Self { name: "SDF (a Gazebo model)", remedy: EXPORT },
+            true => &Self { name: "XML", remedy: EXPORT },
+            false if text.starts_with('{') => &Self { name: "JSON", remedy: EXPORT },
+            false if first == "---" || first.split_once(':').is_some_and(|(word, _)| key(word)) => {
+                &Self { name: "YAML", remedy: EXPORT }
             }
-            () if text.starts_with('<') && text.contains("<robot") => &Self { name: "URDF", remedy: DESCRIBE },
-            () if text.starts_with('<') && text.contains("<mujoco") => {
-                &Self { name: "MJCF (a MuJoCo model)", remedy: DESCRIBE }
-            }
-            () if text.starts_with('<') => &Self { name: "XML", remedy: DESCRIBE },
-            () if text.starts_with('{') => &Self { name: "JSON", remedy: WRITE },
-            () if first == "---" || first.split_once(':').is_some_and(|(word, _)| key(word)) => {
-                &Self { name: "YAML", remedy: WRITE }
-            }
-            () if first.contains(',') && first.split(',').all(|word| key(word.trim())) => &Self {
+            false if first.contains(',') && first.split(',').all(|word| key(word.trim())) => &Self {
                 name: "a table (CSV)",
                 remedy: "name a device or scene file in TOML; `haptic plot` draws recordings",
             },
-            () => return None,
+            false => return None,
         })
+    }
+    /// Returns the name of the format and the remedy.
+    pub fn name_and_remedy(&self) -> (&'static str, &'static str) {
+        (self.name, self.remedy)
     }
 }
 
@@ -298,7 +306,7 @@ impl fmt::Display for Problem {
             Self::Unreadable(why) | Self::NotReadableFile(why) => write!(f, "cannot be read: {why}"),
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
-            Self::Foreign(format) => write!(f, "this is {}, which cannot be read yet, and not TOML", format.name),
+            Self::Foreign(format) => write!(f, "this is {}, not TOML", format.name),
             Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", key_in_place(key, place)),
             Self::MissingKey { key, place, .. } => write!(f, "{} is missing", key_in_place(key, place)),
             Self::WrongType { key, place, expected, found } => {
@@ -332,7 +340,12 @@ impl std::error::Error for FileError {}
 
 impl From<FileError> for crate::error::Failure {
     fn from(error: FileError) -> Self {
-        Self::wrong(error.line()).with_further_lines(error.others.iter().map(FileError::line))
+        let failure = Self::wrong(error.line()).with_further_lines(error.others.iter().map(FileError::line));
+        match *error.problem {
+            // A table has no model to convert.
+            Problem::Foreign(format) if format.remedy.contains("convert") => failure.choose(Choice::Conversion),
+            _ => failure,
+        }
     }
 }
 

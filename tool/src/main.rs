@@ -23,6 +23,9 @@ fn option_for(choice: Choice) -> &'static str {
         Choice::DrawnSignals => "--show",
         Choice::Fields => "--fields",
         Choice::Image => "--file",
+        Choice::Conversion => "haptic new --from FILE -o OUT.toml",
+        Choice::Tip => "--tip",
+        Choice::Joints => "--joints",
     }
 }
 

@@ -11,7 +11,7 @@
 
 mod lumped;
 
-use super::{Mechanism, Regularity, reciprocal};
+use super::{Mechanism, Regularity, ShapedTorque, Shaping, reciprocal};
 use crate::math::{Angle, BinaryAngle, Math, Real, cast};
 use crate::model::catalogue::{MAX_JOINTS, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -115,12 +115,9 @@ pub struct Pose<T: Real, const N: usize> {
     axes: [Vector3<T>; N],
     /// Velocity of the tip per unit velocity of each joint.
     levers: [Vector3<T>; N],
-    /// Rows of the rotation from the first link to the task.
-    task: [Vector3<T>; N],
-    jacobian: SMatrix<T, N, N>,
     /// det J, which a left-handed order of the task's coordinates makes negative.
     determinant: T,
-    /// 1/det of `levers` in space and of `jacobian` otherwise, clamped.
+    /// 1/det of `levers` in space and of J otherwise, clamped.
     inverse_determinant: T,
     /// Cross products of the levers in space: the rows of their adjugate.
     adjugate: [Vector3<T>; N],
@@ -299,11 +296,63 @@ impl<T: Real, const N: usize> Chain<T, N> {
         }
     }
 
+    /// Returns a vector in the frame of the first link along the task's coordinates.
+    #[inline(always)]
+    fn to_task(&self, first: &Motion<T>, v: &Vector3<T>) -> SVector<T, N> {
+        let turned = first.turned(v);
+        SVector::from_fn(|row, _| Vector3::from(self.task[row]).dot(&turned))
+    }
+
+    /// Returns a vector of the task in the frame of the first link.
+    #[inline(always)]
+    fn to_first_link(&self, first: &Motion<T>, v: &SVector<T, N>) -> Vector3<T> {
+        let mut sum = Vector3::from(self.task[0]) * v[0];
+        if N >= 2 {
+            sum += Vector3::from(self.task[1]) * v[1];
+        }
+        if N >= 3 {
+            sum += Vector3::from(self.task[2]) * v[N - 1];
+        }
+        first.turned_back(&sum)
+    }
+
+    /// Returns J from the levers.
+    #[inline(always)]
+    fn jacobian_of(&self, first: &Motion<T>, levers: &[Vector3<T>; N]) -> SMatrix<T, N, N> {
+        let mut jacobian = SMatrix::<T, N, N>::zeros();
+        for (column, lever) in levers.iter().enumerate() {
+            jacobian.set_column(column, &self.to_task(first, lever));
+        }
+        if let (1, Some(radius)) = (N, self.arc) {
+            jacobian[(0, 0)] = radius;
+        }
+        jacobian
+    }
+
     /// Returns the basis of the joint `back` joints before the last one.
     #[inline(always)]
     fn basis(&self, pose: &Pose<T, N>, back: usize) -> Basis<T> {
         let i = N - 1 - back;
         Basis::new(&self.joints[i], &pose.motions[i])
+    }
+
+    /// Returns M and the Coriolis and centrifugal torques.
+    #[inline(always)]
+    fn mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
+        if N == 3 { self.spatial_mass_and_coriolis(pose, qd) } else { self.inline_mass_and_coriolis(pose, qd) }
+    }
+
+    /// Computes [`Chain::mass_and_coriolis`] in a function of its own, because the long series would otherwise push the
+    /// rest of the step out of the registers.
+    #[inline(never)]
+    fn spatial_mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
+        self.inline_mass_and_coriolis(pose, qd)
+    }
+
+    #[inline(always)]
+    fn inline_mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
+        let terms = self.mass_terms(pose);
+        (terms.mass, Self::coriolis_of(&terms, qd))
     }
 
     /// Returns the mass matrix and its derivatives. A caller that needs only one of them pays only for that one.
@@ -402,14 +451,14 @@ impl<T: Real, const N: usize> Chain<T, N> {
     /// Returns the joint accelerations that cancel the tip's acceleration: J⁻¹ J̇ q̇.
     #[inline(always)]
     fn joint_acceleration(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
-        if self.arc.is_some() {
+        if N == 1 && self.arc.is_some() {
             return SVector::zeros();
         }
         let acceleration = self.tip_acceleration(pose, qd);
         if N == 3 {
             return self.joint_velocities(pose, &acceleration);
         }
-        self.inverse(pose, &SVector::from_fn(|row, _| pose.task[row].dot(&acceleration)))
+        self.inverse(pose, &self.to_task(&pose.motions[0], &acceleration))
     }
 }
 
@@ -470,16 +519,14 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         }
         levers[0] = joints[0].lever(&tip);
         tip[2] += motions[0].lift;
-        let (c, s) = (motions[0].cosine, motions[0].sine);
-        let rows: [Vector3<T>; N] = core::array::from_fn(|row| {
-            let [x, y, z] = self.task[row];
-            Vector3::new(x * c + y * s, y * c - x * s, z)
-        });
-        let mut place = SVector::from_fn(|row, _| self.origin[row] + rows[row].dot(&tip));
-        let mut jacobian = SMatrix::from_fn(|row, column| rows[row].dot(&levers[column]));
-        if let Some(radius) = self.arc {
-            (place[0], jacobian[(0, 0)]) = (radius * motions[0].q, radius);
+        let mut place = self.to_task(&motions[0], &tip);
+        for (row, entry) in place.iter_mut().enumerate() {
+            *entry += self.origin[row];
         }
+        if let (1, Some(radius)) = (N, self.arc) {
+            place[0] = radius * motions[0].q;
+        }
+        let jacobian = self.jacobian_of(&motions[0], &levers);
         let mut adjugate = [Vector3::zeros(); N];
         let determinant = match N {
             1 => jacobian[(0, 0)],
@@ -496,8 +543,6 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
             tip: place,
             axes,
             levers,
-            task: rows,
-            jacobian,
             determinant,
             inverse_determinant: reciprocal(determinant, self.determinant_floor),
             adjugate,
@@ -516,12 +561,12 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     #[inline(always)]
     fn jacobian(&self, pose: &Pose<T, N>) -> SMatrix<T, N, N> {
-        pose.jacobian
+        self.jacobian_of(&pose.motions[0], &pose.levers)
     }
 
     fn jacobian_rate(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SMatrix<T, N, N> {
         // Column j of J̇ is the velocity of lever j: Σᵢ q̇ᵢ (zᵢ × Jⱼ for i <= j, zⱼ × Jᵢ for i > j).
-        let mut rate = SMatrix::zeros();
+        let mut rate = SMatrix::<T, N, N>::zeros();
         let axis = |i: usize| if i == 1 && N == 3 { self.joints[1].axis_before() } else { pose.axes[i] };
         for j in 0..if self.arc.is_some() { 0 } else { N } {
             let mut column = Vector3::zeros();
@@ -531,9 +576,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
                     column += axis(first).cross(&pose.levers[i.max(j)]) * qd[i];
                 }
             }
-            for row in 0..N {
-                rate[(row, j)] = pose.task[row].dot(&column);
-            }
+            rate.set_column(j, &self.to_task(&pose.motions[0], &column));
         }
         rate
     }
@@ -578,31 +621,30 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T, N>, force: &SVector<T, N>) -> SVector<T, N> {
         if N < 3 {
-            return pose.jacobian.tr_mul(force);
+            return self.jacobian(pose).tr_mul(force);
         }
-        let spatial = pose.task[0] * force[0] + pose.task[N - 2] * force[N - 2] + pose.task[N - 1] * force[N - 1];
+        let spatial = self.to_first_link(&pose.motions[0], force);
         SVector::from_fn(|i, _| pose.levers[i].dot(&spatial))
     }
 
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
         if N < 3 {
-            return pose.jacobian * qd;
+            return self.jacobian(pose) * qd;
         }
         let spatial = pose.levers[0] * qd[0] + pose.levers[N - 2] * qd[N - 2] + pose.levers[N - 1] * qd[N - 1];
-        SVector::from_fn(|row, _| pose.task[row].dot(&spatial))
+        self.to_task(&pose.motions[0], &spatial)
     }
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         if N == 3 {
-            let (a, b, c) = (velocity[0], velocity[N - 2], velocity[N - 1]);
-            return self.joint_velocities(pose, &(pose.task[0] * a + pose.task[N - 2] * b + pose.task[N - 1] * c));
+            return self.joint_velocities(pose, &self.to_first_link(&pose.motions[0], velocity));
         }
         if N == 1 {
             return velocity * pose.inverse_determinant;
         }
-        let (first, last, j) = (velocity[0], velocity[N - 1], &pose.jacobian);
+        let (first, last, j) = (velocity[0], velocity[N - 1], self.jacobian(pose));
         let mut rates = SVector::zeros();
         rates[0] = (j[(N - 1, N - 1)] * first - j[(0, N - 1)] * last) * pose.inverse_determinant;
         rates[N - 1] = (j[(0, 0)] * last - j[(N - 1, 0)] * first) * pose.inverse_determinant;
@@ -611,8 +653,26 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
-        let terms = self.mass_terms(pose);
-        Self::coriolis_of(&terms, qd) - terms.mass * self.joint_acceleration(pose, qd)
+        let (mass, coriolis) = self.mass_and_coriolis(pose, qd);
+        coriolis - mass * self.joint_acceleration(pose, qd)
+    }
+
+    #[inline(always)]
+    fn shaped_torque(
+        &self,
+        pose: &Pose<T, N>,
+        n: &SVector<T, N>,
+        force: T,
+        qd: Option<&SVector<T, N>>,
+    ) -> ShapedTorque<T, N> {
+        let e = self.inverse(pose, n);
+        let Some(qd) = qd else {
+            let shaping = Shaping::of(&self.mass(pose), e);
+            return ShapedTorque { e, torque: shaping.me * (force / shaping.w_rr) };
+        };
+        let (mass, coriolis) = self.mass_and_coriolis(pose, qd);
+        let w_rr = e.dot(&(mass * e));
+        ShapedTorque { e, torque: mass * (e * (force / w_rr) - self.joint_acceleration(pose, qd)) + coriolis }
     }
 
     fn repeats(&self, joint: usize) -> bool {

@@ -247,6 +247,7 @@ impl<T: Real> Delta<T> {
 impl<T: Real> Mechanism<T, 3> for Delta<T> {
     const SPEC: Spec = Spec {
         name: "delta",
+        label: "delta",
         joints: 3,
         task: 3,
         links: &["arm", "rod", "platform"],

@@ -263,7 +263,7 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
 fn files_in_other_formats_and_missing_files_are_refused() {
     let folder = Folder::new();
     let urdf = "<?xml version=\"1.0\"?>\n<!-- own -->\n<robot name=\"a\"><link name=\"b\"/></robot>\n";
-    let xacro = "<?xml version=\"1.0\"?>\n<robot xmlns:xacro=\"http://ros.org/wiki/xacro\"/>\n";
+    let xacro = "<?xml version=\"1.0\"?>\n<robot><xacro:arm/></robot>\n";
     for (name, text, words) in [
         ("arm.urdf", urdf, "this is URDF"),
         ("arm.xacro", xacro, "this is xacro"),
@@ -273,7 +273,8 @@ fn files_in_other_formats_and_missing_files_are_refused() {
         ("a.csv", "wall,stiffness,damping\n0,300,1\n", "this is a table (CSV)"),
     ] {
         let message = refusal(2, &["check", &folder.write(name, text)]);
-        assert!(message.lines().count() == 1 && message.contains(words) && message.contains("`haptic "), "{message}");
+        assert!(message.lines().count() == 1 && message.contains(words) && message.contains("haptic "), "{message}");
+        assert_eq!(message.contains("haptic new --from FILE"), !words.contains("CSV"), "{message}");
     }
     let binary = folder.write("binary.toml", b"name = \"\xff\"");
     let (fifo, huge) = (folder.path("fifo"), folder.write("huge.toml", "#".repeat((1 << 20) + 1)));

@@ -1,0 +1,4 @@
+//! Tests of the conversion from URDF and MJCF.
+
+mod golden;
+mod refusals;
