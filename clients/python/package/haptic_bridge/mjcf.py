@@ -25,6 +25,8 @@ def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
         "five-bar": _five_bar,
         "five-bar-turret": _five_bar_turret,
         "parallelogram": _parallelogram,
+        "paddles": _paddles,
+        "chain": _chain,
     }[device["mechanism"]]
     bodies, equality = build(device)
     gravity = (list(device.get("gravity", [])) + [0.0, 0.0, 0.0])[:3]
@@ -72,14 +74,15 @@ def _numbers(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _hinge(name: str, axis: str, joint: dict[str, float] | None) -> str:
+def _hinge(name: str, axis: str, joint: dict[str, Any] | None) -> str:
     friction = ""
     if joint is not None:
         friction = (
             f' armature="{float(joint["inertia"])!r}" damping="{float(joint.get("viscous", 0.0))!r}"'
             f' frictionloss="{float(joint.get("coulomb", 0.0))!r}"'
         )
-    return f'<joint name="{name}" type="hinge" axis="{axis}"{friction}/>'
+    kind = "slide" if joint is not None and joint.get("type") == "prismatic" else "hinge"
+    return f'<joint name="{name}" type="{kind}" axis="{axis}"{friction}/>'
 
 
 def _inertial(link: dict[str, float]) -> str:
@@ -103,8 +106,45 @@ def _body(name: str, at: float, content: str) -> str:
 def _paddle(device: dict[str, Any]) -> tuple[str, str]:
     joint = _hinge("q0", Z, device["joint"][0])
     empty = '<inertial pos="0 0 0" mass="1e-12" diaginertia="1e-15 1e-15 1e-15"/>'
+    own = _inertial(device["link"][0]) if "link" in device else empty
     handle = _body("handle", device["geometry"]["length"], _handle(device))
-    return _body("paddle", 0.0, joint + empty + handle), ""
+    return _body("paddle", 0.0, joint + own + handle), ""
+
+
+def _paddles(device: dict[str, Any]) -> tuple[str, str]:
+    bodies = ""
+    for index, (length, joint) in enumerate(zip(device["geometry"]["lengths"], device["joint"], strict=True)):
+        one = {"joint": [joint], "geometry": {"length": length}} | (
+            {"link": [device["link"][index]]} if "link" in device else {}
+        )
+        body, _ = _paddle(one)
+        for name in ("q0", "paddle", "handle", "tip"):
+            body = body.replace(f'name="{name}"', f'name="{name if index == 0 else f"{name}-{index}"}"')
+        bodies += body.replace(f'name="q0-{index}"', f'name="q{index}"')
+    return bodies, ""
+
+
+def _chain(device: dict[str, Any]) -> tuple[str, str]:
+    joints, links = device["joint"], device["link"]
+    inner = f'<body name="handle" pos="{_numbers(*device["geometry"]["tip"])}">{_handle(device)}</body>'
+    for index in reversed(range(len(joints))):
+        joint, link = joints[index], links[index]
+        hinge = _hinge(f"q{index}", _numbers(*joint.get("axis", [0.0, 0.0, 1.0])), joint)
+        inertial = (
+            f'<inertial pos="{_numbers(*link["com"])}" mass="{link["mass"]!r}" fullinertia="{_numbers(*link["inertia"])}"/>'
+        )
+        origin, (roll, pitch, yaw) = joint.get("origin", [0.0] * 3), joint.get("rpy", [0.0] * 3)
+        # Half angles of the rotation Rz(yaw) Ry(pitch) Rx(roll).
+        (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
+        turned = _numbers(
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+        place = f'pos="{_numbers(*origin)}" quat="{turned}"'
+        inner = f'<body name="link{index}" {place}>{hinge}{inertial}{inner}</body>'
+    return inner, ""
 
 
 def _serial(device: dict[str, Any]) -> tuple[str, str]:
