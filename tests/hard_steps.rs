@@ -191,6 +191,18 @@ fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
 }
 
 #[test]
+fn the_feed_forward_fades_smoothly_near_both_singularities_of_a_delta() {
+    let AnyMechanism::Delta(delta) = mechanism_of("falcon-like") else { panic!("a delta") };
+    let device = with_encoders(&shipped_device("falcon-like"));
+    // One leg is stretched.
+    let stretching = straight_path(Vector3::new(-1.2, 0.0, 0.0), Vector3::new(-1.81, 0.0, 0.0));
+    assert_fades("leg", &steps_along(delta, &device, [0.6, 0.8, 0.0], stretching));
+    // The elbows come together, so that the rods become parallel.
+    let inwards = straight_path(Vector3::repeat(0.9), Vector3::repeat(1.7));
+    assert_fades("rods", &steps_along(delta, &device, [0.6, 0.8, 0.0], inwards));
+}
+
+#[test]
 fn torques_are_finite_at_any_count() {
     for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
         let (mut controller, _) = haply_controller(feed_forward);
@@ -225,7 +237,7 @@ fn torques_are_finite_at_every_pose_of_every_shipped_device() {
     for file in ["hapkit-paddle", "haply-2diy", "coupled-five-bar", "pantograph-mk2", "serial-3r"] {
         haptic_bridge::with_mechanism!(mechanism_of(file), m => sweep(m, file));
     }
-    for file in ["fictive-five-bar-turret", "phantom-premium-1.5", "woodenhaptics"] {
+    for file in ["fictive-five-bar-turret", "phantom-premium-1.5", "woodenhaptics", "falcon-like"] {
         haptic_bridge::with_mechanism!(mechanism_of(file), m => sweep(m, file));
     }
 }
