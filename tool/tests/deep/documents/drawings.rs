@@ -24,13 +24,15 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
         ("five-bar-turret", "fictive-five-bar-turret"),
         ("parallelogram", "phantom-premium-1.5"),
         ("serial-3r", "serial-3r"),
+        ("paddles", "two-paddles"),
+        ("chain", "touch"),
         ("capstan-pantograph", "capstan-pantograph"),
     ] {
         let drawing = format!("docs/drawings/{drawing}.svg");
         compare_picture(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
     }
     // The other two pictures show the coupling (next test) and a board (emulator/tests/emulated/drawing.rs).
-    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 8);
+    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 10);
     let ranges = read("docs/results/ranges.sh");
     let maps = ranges.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/"));
     let maps: Vec<&str> = maps.collect();
