@@ -141,7 +141,7 @@ pub trait Math<T>: Copy + Default + Debug + Send + Sync + 'static {
     const NAME: &'static str;
     /// Returns (sine, cosine) of an angle in radians.
     fn sin_cos(angle: T) -> (T, T);
-    /// Returns (sine, cosine) of an angle that may have a binary angle.
+    /// Returns (sine, cosine) of `angle`. A back end may use the binary angle instead of the radians.
     #[inline(always)]
     fn sin_cos_of(angle: Angle<T>) -> (T, T) {
         Self::sin_cos(angle.radians)

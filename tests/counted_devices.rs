@@ -7,9 +7,12 @@ use haptic_bridge::model::description::{Description, Joint};
 #[path = "../emulator/counting/devices.rs"]
 mod devices;
 
-/// Returns inertia, viscous friction, dry friction and counts per turn, which are all that the control step uses.
-fn joint_parameters(joint: &Joint) -> [f64; 4] {
-    [joint.inertia, joint.viscous, joint.coulomb, joint.encoder.map_or(0.0, |encoder| encoder.counts_per_turn)]
+/// Returns place, axis, inertia, viscous friction, dry friction and counts per turn, which are all that the control step
+/// uses.
+fn joint_parameters(joint: &Joint) -> [f64; 13] {
+    let ([x, y, z], [roll, pitch, yaw], [a, b, c]) = (joint.frame.origin, joint.frame.rpy, joint.frame.axis);
+    let counts = joint.encoder.map_or(0.0, |encoder| encoder.counts_per_turn);
+    [x, y, z, roll, pitch, yaw, a, b, c, joint.inertia, joint.viscous, joint.coulomb, counts]
 }
 
 /// Returns true if all numbers are equal within 8 rounding errors.
@@ -20,13 +23,17 @@ fn nearly_equal(counted: &[f64], shipped: &[f64]) -> bool {
 
 #[test]
 fn the_counted_devices_are_the_shipped_devices() {
-    let counted: [(&str, Description); 6] = [
+    let counted: [(&str, Description); 10] = [
         ("hapkit-paddle", devices::PADDLE),
         ("haply-2diy", devices::FIVE_BAR),
         ("fictive-five-bar-turret", devices::FIVE_BAR_TURRET),
         ("phantom-premium-1.5", devices::PARALLELOGRAM),
         ("serial-3r", devices::SERIAL_3R),
         ("falcon-like", devices::DELTA),
+        ("two-paddles", devices::PADDLES_2),
+        ("fader", devices::CHAIN_1),
+        ("planar-arm", devices::CHAIN_2),
+        ("touch", devices::CHAIN_3),
     ];
     for (name, counted) in counted {
         let shipped = device_file::shipped_device(name);

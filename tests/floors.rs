@@ -148,7 +148,7 @@ fn modules(folder: &str) -> Vec<Source> {
 
 /// Returns the modules in circles and their uses. Repeatedly removes modules without uses, until only circles and their
 /// users remain. `name` returns the module of a source.
-fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
+fn modules_in_cycles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(&name).collect();
     let mut uses: BTreeMap<String, BTreeSet<String>> = modules.iter().map(|m| (m.clone(), BTreeSet::new())).collect();
     for source in sources {
@@ -189,7 +189,7 @@ fn floors_import_lower_floors_only() {
 }
 
 #[test]
-fn no_module_is_in_a_circle() {
+fn modules_have_no_dependency_cycle() {
     for folder in ["src", "firmware/src", "emulator/src", "xtask/src"].into_iter().chain(HOST_FOLDERS) {
         let sources = modules(folder);
         let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
@@ -198,7 +198,7 @@ fn no_module_is_in_a_circle() {
             names.extend([Source::module as fn(&Source) -> String, Source::file]);
         }
         for name in names {
-            let circles = modules_in_circles(&sources, name);
+            let circles = modules_in_cycles(&sources, name);
             assert!(circles.is_empty(), "{folder}: circles among {circles:#?}");
         }
     }

@@ -148,7 +148,7 @@ fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
 }
 
 #[test]
-fn a_continuous_current_that_was_too_low_leaves_no_heat() {
+fn a_corrected_continuous_current_leaves_no_heat() {
     for noise in [0.0, 0.03] {
         let mut heat = cold_motor(3.0, 1.0);
         heat.warm(16.0, 0.0);

@@ -140,3 +140,90 @@ pub const DELTA: Description = Description {
     handle_mass: 0.02,
     home: Some([0.6108652381980153; 3]),
 };
+
+/// Returns the link of a chain with its centre of mass on x and the inertia tensor diag(ixx, iyy, izz).
+const fn chain_link(mass: f64, com: f64, [ixx, iyy, izz]: [f64; 3]) -> Link {
+    link(mass, com, izz, ixx, iyy)
+}
+
+const fn placed(joint: Joint, x: f64, axis: [f64; 3]) -> Joint {
+    Joint { frame: JointFrame { origin: [x, 0.0, 0.0], rpy: [0.0; 3], axis }, ..joint }
+}
+
+const X: [f64; 3] = [1.0, 0.0, 0.0];
+const Y: [f64; 3] = [0.0, 1.0, 0.0];
+const Z: [f64; 3] = [0.0, 0.0, 1.0];
+
+/// The device of `devices/two-paddles.toml`.
+pub const PADDLES_2: Description = Description {
+    kind: Kind::Paddles2,
+    gravity: [0.0; 3],
+    geometry: [0.07, 0.07, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    links: [NO_LINK; MAX_LINKS],
+    joints: [joint(3.4e-4, 0.0008, 0.004, 26_087.0), joint(3.4e-4, 0.0008, 0.004, 26_087.0), NO_JOINT],
+    handle_mass: 0.0,
+    home: Some([0.0; MAX_JOINTS]),
+};
+
+/// Three paddles like those of `devices/two-paddles.toml`.
+pub const PADDLES_3: Description = Description {
+    kind: Kind::Paddles3,
+    geometry: [0.07, 0.07, 0.07, 0.0, 0.0, 0.0, 0.0, 0.0],
+    joints: [PADDLES_2.joints[0]; 3],
+    ..PADDLES_2
+};
+
+/// The device of `devices/fader.toml`.
+pub const CHAIN_1: Description = Description {
+    kind: Kind::Chain1,
+    gravity: [0.0; 3],
+    geometry: [0.0; 8],
+    links: [chain_link(0.02, 0.0, [1.0e-6; 3]), NO_LINK, NO_LINK, NO_LINK],
+    joints: [
+        Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) },
+        NO_JOINT,
+        NO_JOINT,
+    ],
+    handle_mass: 0.0,
+    home: Some([0.0; MAX_JOINTS]),
+};
+
+/// The device of `devices/planar-arm.toml`.
+pub const CHAIN_2: Description = Description {
+    kind: Kind::Chain2,
+    gravity: [0.0; 3],
+    geometry: [0.14, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+    links: [
+        chain_link(0.17, 0.136, [1.0e-5, 2.5e-4, 2.5e-4]),
+        chain_link(0.03, 0.07, [2.0e-6, 5.0e-5, 5.0e-5]),
+        NO_LINK,
+        NO_LINK,
+    ],
+    joints: [
+        placed(joint(1.0e-4, 0.001, 0.006, 40_000.0), 0.0, Z),
+        placed(joint(1.0e-4, 0.001, 0.006, 40_000.0), 0.16, Z),
+        NO_JOINT,
+    ],
+    handle_mass: 0.02,
+    home: Some([0.5, 1.2, 0.0]),
+};
+
+/// The device of `devices/touch.toml`.
+pub const CHAIN_3: Description = Description {
+    kind: Kind::Chain3,
+    gravity: [0.0, -9.81, 0.0],
+    geometry: [0.1325, 0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0],
+    links: [
+        chain_link(0.25, -0.01, [1.2e-4; 3]),
+        chain_link(0.06, 0.045, [8.0e-6, 9.0e-5, 9.0e-5]),
+        chain_link(0.03, 0.05, [3.0e-6, 4.0e-5, 4.0e-5]),
+        NO_LINK,
+    ],
+    joints: [
+        placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.0, Y),
+        placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.0, Z),
+        placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.134, Z),
+    ],
+    handle_mass: 0.0,
+    home: Some([0.0, 1.1, -1.5]),
+};

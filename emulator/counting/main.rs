@@ -110,6 +110,11 @@ extern "C" fn run() -> ! {
         devices::PARALLELOGRAM,
         devices::SERIAL_3R,
         devices::DELTA,
+        devices::PADDLES_2,
+        devices::PADDLES_3,
+        devices::CHAIN_1,
+        devices::CHAIN_2,
+        devices::CHAIN_3,
     ] {
         let Ok(device) = Device::<f32>::new("bench", &description) else { panic!() };
         count_with_every_math(&device, &description);

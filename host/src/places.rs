@@ -62,7 +62,7 @@ impl Places {
 fn close_oldest(connections: &mut Vec<Connection>, address: IpAddr) {
     let oldest =
         |is_active: bool| connections.iter().position(|other| other.address == address && other.is_active == is_active);
-    // The address has a connection, because the caller has counted its connections.
+    // Callers pass only the address of an existing connection.
     let at = oldest(false).or_else(|| oldest(true)).unwrap_or(0);
     let _ = connections.remove(at).stream.shutdown(Shutdown::Both);
 }

@@ -183,7 +183,7 @@ pub struct StructuralMode {
     pub frequency: f64,
     /// Damping ratio; not negative.
     pub damping: f64,
-    /// Part of the inertia about the joint that oscillates, kg m²; positive.
+    /// Oscillating part of the inertia about the joint, kg m²; positive.
     pub inertia: f64,
 }
 

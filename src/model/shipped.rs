@@ -15,6 +15,14 @@ pub const PHANTOM_PREMIUM: &str = include_str!("../../devices/phantom-premium-1.
 pub const FALCON_LIKE: &str = include_str!("../../devices/falcon-like.toml");
 /// A redundant arm.
 pub const SERIAL_3R: &str = include_str!("../../devices/serial-3r.toml");
+/// Two paddles on one board.
+pub const TWO_PADDLES: &str = include_str!("../../devices/two-paddles.toml");
+/// A motorised fader: a chain of one prismatic joint.
+pub const FADER: &str = include_str!("../../devices/fader.toml");
+/// An arm of two joints in a plane.
+pub const PLANAR_ARM: &str = include_str!("../../devices/planar-arm.toml");
+/// A chain of three joints, with a turret.
+pub const TOUCH: &str = include_str!("../../devices/touch.toml");
 /// A five-bar (Campion, Wang and Hayward 2005).
 pub const PANTOGRAPH_MK2: &str = include_str!("../../devices/pantograph-mk2.toml");
 /// An open parallelogram arm on a turret.

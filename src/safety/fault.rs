@@ -162,7 +162,7 @@ faults! {
     /// The image in flash differs from the image as built.
     ImageDamaged = 33, "the firmware in flash is not as it was built",
         "flash the board again, with an image made by `cargo fw`";
-    /// A word of RAM did not keep its value; value: its address.
+    /// A word of RAM did not keep what was written; value: the word's address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if the fault returns, replace the board";
     /// A joint kept moving when the polarity check was about to start with it; value: motion, rad.

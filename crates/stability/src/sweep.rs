@@ -249,7 +249,7 @@ impl Sweep {
         // Rejects types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
-            return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
+            return Err(Failure::impossible(format!("a result of stage \"{stage}\" does not read back as it was stored"))
                 .remedy("do not store results, and report this error")
                 .choose(Choice::ResultsFile));
         }
@@ -416,6 +416,6 @@ mod tests {
         let case = Case::new();
         let sweep = case.sweep("question", usize::MAX).unwrap();
         let failure = sweep.map("stage", &[None, Some(1_u8)], |out| Ok(OptionalOut { out: *out })).unwrap_err();
-        assert!(failure.to_string().contains("changes when it is stored"), "{failure}");
+        assert!(failure.to_string().contains("does not read back as it was stored"), "{failure}");
     }
 }

@@ -456,5 +456,4 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         }
         inertia
     }
-
-    /// M depends on all three angles. These coordinates are outside every table, so the closed form is used.}
+}

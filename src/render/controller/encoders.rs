@@ -270,7 +270,7 @@ mod tests {
             home: None,
         };
         let device = Device::<f32>::new("arm", &description).expect("a sound device");
-        Encoding::new(&device.joints[0], 1_000.0, true)
+        Encoding::new(&device.joints[0], 1_000.0)
     }
 
     /// Returns the remainder of `count` after complete turns, with its sign. Exact, because an f64 `counts_per_turn` is

@@ -21,7 +21,7 @@ pub(super) struct StepStart<'a, T: Real, P, const N: usize> {
     /// Filtered joint velocities, rad/s.
     qd: SVector<T, N>,
     pose: &'a P,
-    /// Position of the tip, m; zero beyond the task.
+    /// Position of the tip, m. Components beyond the task dimension are zero.
     place: SVector<T, N>,
     regularity: Regularity<T>,
 }

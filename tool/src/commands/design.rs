@@ -236,7 +236,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
         line(placed("worst without it", &along.worst));
     }
     line(format!(
-        "\n  effect of {:.0} % more and less of each on the stiffest wall along n, at the same tip position",
+        "\n  effect of ±{:.0} % in each number on the stiffest wall along n, at the same tip position",
         100.0 * CHANGE
     ));
     line(format!(

@@ -26,7 +26,7 @@ fn paddle(viscous: f64, coulomb: f64) -> Description {
     Description {
         kind: Kind::Paddle,
         gravity: [0.0; 3],
-        geometry: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+        geometry: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         links: [Link::default(); 4],
         joints: [joint(1e-3, viscous, coulomb), Joint::default(), Joint::default()],
         handle_mass: 0.0,
@@ -40,7 +40,7 @@ fn five_bar() -> Description {
     Description {
         kind: Kind::FiveBar,
         gravity: [0.0; 3],
-        geometry: [0.02, 0.1, 0.1, 0.13, 0.13, 1.0],
+        geometry: [0.02, 0.1, 0.1, 0.13, 0.13, 1.0, 0.0, 0.0],
         links: [arm, arm, rod, rod],
         joints: [joint(8e-4, 0.0, 0.0), joint(3e-4, 0.0, 0.0), Joint::default()],
         handle_mass: 0.05,

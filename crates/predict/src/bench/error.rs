@@ -149,7 +149,8 @@ pub struct Errors {
     pub torque: ErrorStatistics,
     /// Force at the tip, N.
     pub force: ErrorStatistics,
-    /// Share of the motor's torque at the worst joint, which is also the share of the largest tip force.
+    /// Torque error at the worst joint as a share of its motor's torque, which is also the tip force's error as a share of
+    /// the largest tip force.
     pub share: ErrorStatistics,
     /// Duty steps on a 24 V bus: torque / torque constant · resistance.
     pub duty: ErrorStatistics,

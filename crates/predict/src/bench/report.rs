@@ -24,13 +24,17 @@ use std::time::Instant;
 
 /// Devices of the report, one for each mechanism whose control step is counted. The image that counts instructions uses
 /// the same devices.
-const EXAMPLES: [&str; 6] = [
+const EXAMPLES: [&str; 10] = [
     shipped::HAPKIT_PADDLE,
     shipped::HAPLY_2DIY,
     shipped::FICTIVE_FIVE_BAR_TURRET,
     shipped::PHANTOM_PREMIUM,
     shipped::SERIAL_3R,
     shipped::FALCON_LIKE,
+    shipped::TWO_PADDLES,
+    shipped::FADER,
+    shipped::PLANAR_ARM,
+    shipped::TOUCH,
 ];
 
 /// Returns the devices of the report.

@@ -10,7 +10,7 @@ pub const FULL_COLOUR: &str = "#D55E00";
 pub const WASHOUT_COLOUR: &str = "#009E73";
 /// Colour of walls rendered by a computer.
 pub const HOST_COLOUR: &str = "#CC79A7";
-/// Colour of passivity bounds, in contrast to the stability boundary.
+/// Colour of passivity bounds; differs from the colours of the stability boundaries.
 pub const BOUND_COLOUR: &str = "#7A5195";
 /// Colour of frames, ticks and text.
 pub const INK: &str = "#222222";

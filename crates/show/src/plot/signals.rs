@@ -198,7 +198,7 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns the times of contact, s; without the distance to a wall none is known.
+    /// Returns the intervals (begin, end) of contact, s; empty if the recording has no distance to a wall.
     fn contact(&self) -> Vec<(f64, f64)> {
         let Some(distance) = self.recording.column("distance_m") else { return Vec::new() };
         let pieces = self.rows.chunk_by(|a, b| (a[distance] < 0.0) == (b[distance] < 0.0));

@@ -435,7 +435,7 @@ mod tests {
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
-        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| is the limit at d = 0.2.
+        // Jury's criterion for this cubic. At d = 0.2 its last condition, |a0² - 1| > |a0 a2 - a1|, fails first.
         let d = 0.2;
         let stable = |k: f64| {
             let (a2, a1, a0) = (k / 2.0 + d / 2.0 - 2.0, 1.0 + k / 2.0, -d / 2.0);

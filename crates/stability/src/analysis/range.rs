@@ -94,7 +94,7 @@ pub fn predict(
     Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }
 
-/// Like [`predict`], for several walls that act together, in the totals of stiffness and damping.
+/// Like [`predict`], for several walls that act together. Stiffness and damping in the result are totals of the walls.
 pub fn predict_several(
     set: &WallSet,
     around: &Loop,

@@ -74,7 +74,7 @@ fn random_pose(description: &Description, random: &mut Random) -> Vec<f64> {
     match description.kind {
         Kind::FiveBarTurret | Kind::Parallelogram => q[0] = 0.0,
         Kind::Serial3r => q[2] = home[..3].iter().sum::<f64>() - q[0] - q[1],
-        Kind::Paddle | Kind::FiveBar => {}
+        _ => {}
     }
     q
 }

@@ -80,7 +80,7 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
     let before = TaskPose::at(&description, &q).unwrap();
     let (x, y) = (before.position[0], before.position[1]);
     let elbow = |side: f64| {
-        let [base, l1, l2, r1, r2, _] = wider.geometry;
+        let [base, l1, l2, r1, r2, ..] = wider.geometry;
         let (proximal, distal) = if side < 0.0 { (l1, r1) } else { (l2, r2) };
         let (dx, dy) = (x - side * base / 2.0, y);
         let reach = dx.hypot(dy);

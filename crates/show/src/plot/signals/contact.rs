@@ -72,7 +72,7 @@ struct LineFit {
     ends: [(f64, f64); 2],
 }
 
-/// Reason why there is no line whose slope is a stiffness.
+/// Reason why no stiffness can be fitted to the points.
 enum NoLineReason {
     TooFew,
     Scattered,
