@@ -39,12 +39,13 @@ impl Random {
         self.unit_number() * rarity < 1.0
     }
 
-    fn below(&mut self, end: usize) -> usize {
+    /// Returns a random number from 0 to `end` - 1.
+    fn index_below(&mut self, end: usize) -> usize {
         (self.unit_number() * end as f32) as usize % end
     }
 
     fn choose<T: Copy>(&mut self, values: &[T]) -> T {
-        values[self.below(values.len())]
+        values[self.index_below(values.len())]
     }
 }
 
@@ -280,7 +281,7 @@ fn random_scene(description: &Description, kind: Disturbance, random: &mut Rando
     let mut bare = BoardPair::new(description, &scene(task, &[]), rig::rules());
     bare.home();
     let tip = bare.control_loops[0].status().tip;
-    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(kind == Disturbance::Weight)))
+    let walls: Vec<Wall<f32>> = (0..random.index_below(3).max(usize::from(kind == Disturbance::Weight)))
         .map(|_| {
             let point = [tip[0] + random.uniform(-0.002, -0.0002), tip[1], 0.0];
             let feed_forward = random.choose(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
@@ -333,7 +334,7 @@ fn run_episode(random: &mut Random, kind: Disturbance) -> ([u32; 2], Option<Faul
     let checks = random.one_chance_in(10.0);
     pair.execute(|| if checks { Command::CheckPolarity } else { Command::Arm });
     let (mut velocity, mut at, mut usual) = ([0.0_f32; MAX_JOINTS], [0.0_f32; MAX_JOINTS], [0; 2]);
-    let (begins, axis) = (1_050 + random.below(600) as u32, random.below(joints));
+    let (begins, axis) = (1_050 + random.index_below(600) as u32, random.index_below(joints));
     let mut fault = None;
     for crest in 0..1_800 {
         // Every joint moves randomly near its home.

@@ -110,7 +110,7 @@ impl Source {
                 name => place.push(name.to_owned()),
             }
         }
-        // Exports of the crate's root are not modules, for example macros.
+        // Leaves out exports of the crate's root, such as macros, because they are not modules.
         if place.len() > 1 || place.first().is_some_and(|name| level_of(name).is_some()) {
             self.uses.push(place);
         }

@@ -135,7 +135,7 @@ fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
         heat.limit(3.0, 5.0);
         heat.limit(3.0, 1.0);
         assert!((heat.held() - 16.0).abs() < 0.01, "more heat would trip until a power cycle: {heat:?}");
-        // The motor cools, also when a larger budget raises the estimate.
+        // The motor cools. A larger budget then raises the estimate.
         assert_eq!(time_to_trip(&mut heat, 0.0, 4.0), None);
         assert!((heat.held() - 12.0).abs() < 0.01, "{heat:?}");
         heat.limit(4.0, 1.0);

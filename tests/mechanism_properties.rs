@@ -403,6 +403,6 @@ properties! {
 }
 
 #[test]
-fn every_mechanism_has_its_line() {
+fn every_mechanism_is_listed_in_properties() {
     assert_eq!(Kind::ALL.len(), 5, "a new mechanism needs its line in `properties!`");
 }

@@ -66,12 +66,12 @@ impl<'a> Sources<'a> {
         })
     }
 
-    fn is_in(&mut self, address: u32, function: &str) -> bool {
+    fn belongs_to(&mut self, address: u32, function: &str) -> bool {
         self.source(address).functions.iter().any(|name| name.ends_with(function))
     }
 
     fn executes(&mut self, run: &Run, function: &str) -> bool {
-        run.path.iter().any(|at| self.is_in(*at, function))
+        run.path.iter().any(|at| self.belongs_to(*at, function))
     }
 
     /// Returns true if a run of the control interrupt belongs to a crest, false if it belongs to a valley.
@@ -86,7 +86,7 @@ impl<'a> Sources<'a> {
 
     /// Returns the instructions of a run, without the instructions that wait for the converters.
     pub fn instructions_without_waiting(&mut self, run: &Run) -> Vec<u32> {
-        run.path.iter().copied().filter(|at| !self.is_in(*at, WAIT_FUNCTION)).collect()
+        run.path.iter().copied().filter(|at| !self.belongs_to(*at, WAIT_FUNCTION)).collect()
     }
 
     /// Returns the source file of an instruction. Code that the compiler shares between functions may have no file.

@@ -19,7 +19,7 @@ pub struct Run {
     pub path: Vec<u32>,
 }
 
-/// Code of an image, in which calls and returns can be told from other instructions.
+/// Code of an image, which tells calls and returns from other instructions.
 #[derive(Clone, Debug)]
 pub struct Code {
     base: u32,

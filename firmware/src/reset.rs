@@ -116,8 +116,8 @@ impl EndRecord {
     /// Returns the name of the panic's file, or "" if the address or length is not plausible.
     fn file(&self) -> &'static str {
         const FLASH: core::ops::Range<u32> = 0x0800_0000..0x0810_0000;
-        const LONGEST: u32 = 128;
-        if self.file_len > LONGEST || !FLASH.contains(&self.file) || !FLASH.contains(&(self.file + self.file_len)) {
+        const MAX_LENGTH: u32 = 128;
+        if self.file_len > MAX_LENGTH || !FLASH.contains(&self.file) || !FLASH.contains(&(self.file + self.file_len)) {
             return "";
         }
         // SAFETY: the bytes lie in flash, which is not written meanwhile. `from_utf8` checks that they are text.

@@ -59,7 +59,7 @@ impl Entry {
     fn place(&self) -> String {
         match self.table {
             "" => self.key.clone(),
-            LUMPED => format!("lumped {}", self.key),
+            LUMPED_TABLE => format!("lumped {}", self.key),
             "[home]" | "[posture]" => format!("{} {}", self.table, self.key),
             table => format!("{table} {} {}", self.index, self.key),
         }
@@ -67,7 +67,7 @@ impl Entry {
 }
 
 /// Table of the coefficients of a device's equations of motion, which no device file contains.
-const LUMPED: &str = "[lumped]";
+const LUMPED_TABLE: &str = "[lumped]";
 
 /// A key whose values differ in two files.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -303,7 +303,7 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     let mut top = table(&mut entries, "", 0);
     top.word("name", &device.name);
     top.word("mechanism", spec.name);
-    put_coefficients(&mut table(&mut entries, LUMPED, 0), &device.mechanism);
+    put_coefficients(&mut table(&mut entries, LUMPED_TABLE, 0), &device.mechanism);
     for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
         put_joint(&mut entries, index, joint);
     }

@@ -17,8 +17,8 @@ pub const fn max_wire_length(length: usize) -> usize {
 /// Returns a word in which the top bit of each byte is set if the byte of `word` is zero.
 #[inline(always)]
 fn zeros(word: u32) -> u32 {
-    const REST: u32 = 0x7F7F_7F7F;
-    !(((word & REST) + REST) | word | REST)
+    const LOW_BITS: u32 = 0x7F7F_7F7F;
+    !(((word & LOW_BITS) + LOW_BITS) | word | LOW_BITS)
 }
 
 /// Encodes in place a frame of `length` bytes that starts at the second byte of `wire`, and adds a delimiter. Returns

@@ -289,8 +289,8 @@ pub(super) struct HostForce {
     /// Share of the contact that acted in the last step.
     contact_lease: f32,
     /// Contact's share less the request's share; nonzero after the request replaced another request.
-    beside: f32,
-    /// Rate at which `beside` shrinks to zero, 1/s.
+    share_offset: f32,
+    /// Rate at which `share_offset` shrinks to zero, 1/s.
     offset_rate: f32,
 }
 
@@ -300,8 +300,8 @@ impl HostForce {
         // The contact's share continues from the last step. A new contact fades in with its rising stiffness.
         let was_there =
             self.acts && self.contact.present_plane().stiffness + self.contact.present_plane().damping > 0.0;
-        self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
-        self.offset_rate = self.beside.abs() / BLEND_SECONDS.0;
+        self.share_offset = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
+        self.offset_rate = self.share_offset.abs() / BLEND_SECONDS.0;
         // The blend keeps the rest of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.move_to(request.contact.as_ref());
@@ -320,8 +320,9 @@ impl HostForce {
         self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
         self.remaining_seconds = self.request.hold + self.request.fade - self.age;
         let closed = self.offset_rate * period;
-        self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
-        self.contact_lease = self.lease + self.beside;
+        self.share_offset -=
+            if self.share_offset.abs() > closed { closed.copysign(self.share_offset) } else { self.share_offset };
+        self.contact_lease = self.lease + self.share_offset;
         let plane = self.contact.present_plane();
         Some(Push {
             force: self.request.force.map(|force| force * self.lease),

@@ -110,7 +110,7 @@ impl TorqueDemand<f32> {
         let (base, part) = (clamp(self.gravity[i], limit), self.rendered[i]);
         let along = if part > 0.0 { self.feed_forward(i) } else { -self.feed_forward(i) };
         if along > 0.0 {
-            // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
+            // The larger share of two: the force and its feed-forward fit together, or the force leaves the reserved room.
             let both = room(base, part + self.feed_forward(i), limit, most);
             let alone = room(base, part, limit - FEED_FORWARD_ROOM * limit, most);
             if both > alone { both } else { alone }

@@ -50,7 +50,7 @@ pub struct Heat {
     rounding: f32,
     /// Guessed part of `held`, A² s.
     guess: f32,
-    /// Budget of which the guess is half, A² s; infinite if the heat is known.
+    /// Budget that the guess is based on, A² s; infinite if the heat is known.
     guess_budget: f32,
     /// Square of the allowed continuous current, A².
     allowed_squared: f32,

@@ -1,4 +1,5 @@
-//! The shipped device files, as text for `haptic-host`.
+//! The text of the shipped device and scene files that crates of this workspace use. A published crate can include only
+//! files of its own package, so the texts are here.
 
 /// A five-bar with strong coupling: the device of the demo and of a simulated board.
 pub const COUPLED_FIVE_BAR: &str = include_str!("../../devices/coupled-five-bar.toml");
@@ -12,42 +13,18 @@ pub const FICTIVE_FIVE_BAR_TURRET: &str = include_str!("../../devices/fictive-fi
 pub const PHANTOM_PREMIUM: &str = include_str!("../../devices/phantom-premium-1.5.toml");
 /// A redundant arm.
 pub const SERIAL_3R: &str = include_str!("../../devices/serial-3r.toml");
+/// A five-bar (Campion, Wang and Hayward 2005).
+pub const PANTOGRAPH_MK2: &str = include_str!("../../devices/pantograph-mk2.toml");
+/// An open parallelogram arm on a turret.
+pub const WOODENHAPTICS: &str = include_str!("../../devices/woodenhaptics.toml");
 
-/// A shipped device in front of the walls of a scene.
-#[derive(Clone, Copy, Debug)]
-pub struct ShippedWorld {
-    /// Name of the device, with the name of the scene after a slash, and a description after a colon.
-    pub name: &'static str,
-    /// Text of the device file.
-    pub device: &'static str,
-    /// Name and text of the scene file; `None` for one wall in front of the tip.
-    pub scene: Option<(&'static str, &'static str)>,
-}
-
-macro_rules! shipped {
-    ($device:literal: $words:literal) => {
-        ShippedWorld {
-            name: concat!($device, ": ", $words),
-            device: include_str!(concat!("../../devices/", $device, ".toml")),
-            scene: None,
-        }
-    };
-    ($device:literal / $scene:literal: $words:literal) => {
-        ShippedWorld {
-            name: concat!($device, "/", $scene, ": ", $words),
-            scene: Some(($scene, include_str!(concat!("../../devices/scenes/", $device, "/", $scene, ".toml")))),
-            ..shipped!($device: $words)
-        }
-    };
-}
-
-/// The devices that a page offers beside the demo's.
-pub const WORLDS: [ShippedWorld; 7] = [
-    shipped!("haply-2diy" / "disc": "a disc"),
-    shipped!("haply-2diy" / "groove": "a groove"),
-    shipped!("pantograph-mk2" / "corner": "a corner"),
-    shipped!("hapkit-paddle" / "wall": "a wall"),
-    shipped!("hapkit-paddle" / "slow": "a wall at 1 kHz"),
-    shipped!("woodenhaptics": "a wall"),
-    shipped!("phantom-premium-1.5": "a wall"),
-];
+/// A disc in front of the Haply 2DIY.
+pub const DISC: &str = include_str!("../../devices/scenes/haply-2diy/disc.toml");
+/// A groove in front of the Haply 2DIY.
+pub const GROOVE: &str = include_str!("../../devices/scenes/haply-2diy/groove.toml");
+/// A corner in front of the Pantograph Mk-II.
+pub const CORNER: &str = include_str!("../../devices/scenes/pantograph-mk2/corner.toml");
+/// A wall in front of the Hapkit.
+pub const PADDLE_WALL: &str = include_str!("../../devices/scenes/hapkit-paddle/wall.toml");
+/// A wall in front of the Hapkit, at a control rate of 1 kHz.
+pub const PADDLE_WALL_1_KHZ: &str = include_str!("../../devices/scenes/hapkit-paddle/slow.toml");

@@ -91,7 +91,7 @@ enum Command {
         /// Run the longer tests instead, all parts or one part
         #[arg(long, value_name = "PART", num_args = 0..=1, value_parser = deep_part())]
         deep: Option<Option<String>>,
-        /// Further arguments for the program of one part
+        /// Further arguments for the test program of that part
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },

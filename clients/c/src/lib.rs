@@ -381,7 +381,7 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     let check = |session: &mut Session| {
         session.check_polarity()?;
-        Ok(session.wait_for_polarity()?.passed()?)
+        Ok(session.wait_for_polarity()?.require_pass()?)
     };
     // SAFETY: as the caller promises.
     unsafe { with_session(board, check) }

@@ -318,7 +318,7 @@ mod tests {
         session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
         session.home().unwrap();
         session.check_polarity().unwrap();
-        session.wait_for_polarity().unwrap().passed().unwrap();
+        session.wait_for_polarity().unwrap().require_pass().unwrap();
         assert!(device.arm());
         (board, device, plugged)
     }

@@ -18,11 +18,11 @@ mod port;
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_host::haptic_bridge::model::shipped::WORLDS;
 use haptic_host::link::Board;
 use haptic_show::view::hub::{Hub, Message, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stage::KEY_TIMEOUT;
+use haptic_show::view::world::WORLDS;
 use haptic_show::view::{Stage, Turn, World};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -257,7 +257,7 @@ mod tests {
     fn plug_in() -> SharedBoard {
         let file = file();
         let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
-        let scene = SceneFile::parse(WORLDS[0].scene.unwrap().1, "scene", 2).unwrap().scene().unwrap();
+        let scene = SceneFile::parse(WORLDS[0].scene.unwrap(), "scene", 2).unwrap().scene().unwrap();
         Board::over(board.wire(), "test").unwrap().set_scene(&scene).unwrap();
         port::worker::PLUGGED.replace(Some(board.wire()));
         board

@@ -82,7 +82,7 @@
     up();
     leave();
     port = board;
-    view.hello = view.plane = view.closeAt = view.last = view.frame = null;
+    view.hello = view.plane = view.last = view.frame = null;
     connect();
   }
   open.onclick = async () => {

@@ -265,7 +265,7 @@ impl Board {
             open.session.check_polarity()?;
             open.session.wait_for_polarity()
         })?;
-        outcome.passed().map_err(|failure| errors::refused_error(&failure.to_string()))
+        outcome.require_pass().map_err(|failure| errors::refused_error(&failure.to_string()))
     }
 
     /// Turns the motors on; the torque ramps up over 0.5 s. Then call look, force or torque as often as the board's

@@ -310,9 +310,9 @@ impl PyDevice {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = rows("q", q, self.joints())?;
         let normals = self.unit_normals(normal, &poses)?;
-        let named = LinearEstimator::named();
+        let windowless = LinearEstimator::windowless();
         let estimators: Vec<(&str, LinearEstimator)> =
-            named.filter_map(|(name, kind)| Some((name, LinearEstimator::of(kind, cutoff_hz)?))).collect();
+            windowless.filter_map(|(name, kind)| Some((name, LinearEstimator::of(kind, cutoff_hz)?))).collect();
         let estimator = parse_word("estimator", estimator, &estimators)?;
         if difference_over != 1 && !estimator.takes_difference() {
             return Err(RequestError::new_err("difference_over needs an estimator that takes a difference"));

@@ -8,7 +8,7 @@ import pytest
 
 import haptic_bridge as hb
 
-DEVICES = pathlib.Path(__file__).parents[2] / "devices"
+DEVICES = pathlib.Path(__file__).parents[3] / "devices"
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 //!
 //! The planner considers the poses at which the tip touches the scene's walls, with the motors' force there and a
 //! hand's speed. It computes the error with and without velocity terms in the board's precision, and chooses the
-//! cheapest variant whose error is at most [`MARGIN`] of the budget.
+//! cheapest variant whose error is at most [`USABLE_SHARE`] of the budget.
 //!
 //! Velocity terms that the board fades are lost in every variant. This error is reported but does not count against the
 //! budget. The result is a scene with `velocity_terms` and `feed_forward`, which the board renders unchanged.
@@ -17,7 +17,7 @@ use haptic_host::link::{Board, BoardError};
 use serde::Serialize;
 
 /// Share of the budget that the error at the computed poses may use, because between them the error may be larger.
-pub const MARGIN: f64 = 0.6;
+pub const USABLE_SHARE: f64 = 0.6;
 /// Default error budget, percent of the motors' torque.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 const FIRMWARE_TRIGONOMETRY: &str = "table";
@@ -141,15 +141,15 @@ fn plan_on(
         let VariantErrors { whole: errors, unfaded_errors } = errors(device, &probes, &variant);
         let used = budget.share_of_budget(&unfaded_errors);
         candidates.push(Candidate { terms: terms.name(), instructions, errors, unfaded_errors, used });
-        if chosen.is_none() && used <= MARGIN {
+        if chosen.is_none() && used <= USABLE_SHARE {
             chosen = Some((instructions, terms, errors));
         }
     }
     let Some((instructions, terms, errors)) = chosen else {
         let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
         let least = best.map_or(f64::NAN, |best| match budget {
-            Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / MARGIN,
-            Budget::OneDutyStep => best.unfaded_errors.duty.max / MARGIN,
+            Budget::Percent(_) => 100.0 * best.unfaded_errors.share.max / USABLE_SHARE,
+            Budget::OneDutyStep => best.unfaded_errors.duty.max / USABLE_SHARE,
         });
         let (wanted, unit) = match budget {
             Budget::Percent(percent) => (percent, "percent"),
@@ -230,7 +230,9 @@ fn explain(
     let mut reasons = Vec::new();
     if let Some(without) = find(Terms::FeedForward) {
         let verdict = match terms {
-            Terms::FeedForward if budget.share_of_budget(&without.errors) <= MARGIN => "too small to be compensated",
+            Terms::FeedForward if budget.share_of_budget(&without.errors) <= USABLE_SHARE => {
+                "too small to be compensated"
+            }
             Terms::FeedForward => "too small to be compensated where they do not fade",
             _ if fading.is_some() => "they are compensated, except where they fade",
             _ => "they are compensated",

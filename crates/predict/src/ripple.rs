@@ -205,9 +205,9 @@ impl PressedWall<'_> {
         tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
-    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries. It acts along
-    /// the normal and against the sideways push of the feed-forward, Λ J M⁻¹ of its torques. Without the second part
-    /// the hand's spring would move by millimetres, too far for the linearised loop.
+    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries. One part acts
+    /// along the normal. The other part acts against the sideways push of the feed-forward, which is Λ J M⁻¹ times its
+    /// torques; without it the hand's spring would move by millimetres, too far for the linearised loop.
     fn holding_force(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady sideways push.

@@ -173,7 +173,8 @@ impl Shared {
 }
 
 impl DeviceSlot {
-    /// Returns the device after `work`; `None` if its board is lost, which ends its user's connection.
+    /// Runs `work` on the device and returns the device. Returns `None` if the board is lost; the connection of the
+    /// device's user then ends.
     fn apply(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
         if let Err(lost) = work(self.device.as_mut()?) {
             haptic_host::tell!("{lost}; waiting for it");

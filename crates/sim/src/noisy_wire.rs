@@ -24,7 +24,7 @@ impl NoisyWire {
     /// # Panics
     ///
     /// If the motors go off, if a row is neither received nor counted as missing, or if no frame was corrupted.
-    pub fn follow(wire: Box<dyn Wire>, steps: u32) -> Losses {
+    pub fn check_telemetry(wire: Box<dyn Wire>, steps: u32) -> Losses {
         let noisy = Self { wire, random: Random::new(7), unchanged_frames: 16 };
         let mut board = Board::over(Box::new(noisy), "noisy").expect("the board replies");
         let rules = board.rules().expect("the board sends its rules");

@@ -103,7 +103,7 @@ struct SingularityStop {
 
 impl SingularityStop {
     /// The stop of every linkage before a parallel singularity, at which the inertia is unbounded. It is closer to the
-    /// singularity than the pose in which a board turns its motors off. The time constant of 1 ms is long beside a step
+    /// singularity than the pose in which a board turns its motors off. The time constant of 1 ms is long compared with a step
     /// of 5 µs.
     const HARD_STOP: Self =
         Self { nearest: 0.5 * MIN_PARALLEL_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };

@@ -409,13 +409,13 @@ mod tests {
     #[test]
     fn results_that_do_not_round_trip_are_rejected() {
         #[derive(Debug, Serialize, Deserialize)]
-        struct Leaves {
+        struct OptionalOut {
             #[serde(skip_serializing_if = "Option::is_none", default)]
             out: Option<u8>,
         }
         let case = Case::new();
         let sweep = case.sweep("question", usize::MAX).unwrap();
-        let failure = sweep.map("stage", &[None, Some(1_u8)], |out| Ok(Leaves { out: *out })).unwrap_err();
+        let failure = sweep.map("stage", &[None, Some(1_u8)], |out| Ok(OptionalOut { out: *out })).unwrap_err();
         assert!(failure.to_string().contains("changes when it is stored"), "{failure}");
     }
 }

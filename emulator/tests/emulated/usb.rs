@@ -307,5 +307,5 @@ fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
     rig.arm_near_walls("rate_hz = 1000\ncutoff_hz = 100\n", &[NearWall::with_normal([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");
-    NoisyWire::follow(rig.shared.wire(), 60_000);
+    NoisyWire::check_telemetry(rig.shared.wire(), 60_000);
 }

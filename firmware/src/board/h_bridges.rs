@@ -31,8 +31,8 @@ const AXES: usize = 3;
 /// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both
 /// edges, so it reduces the voltage a little without distortion.
 const DEAD_TIME_TICKS: u8 = 17;
-/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V. A board with another
-/// reference divides to its reference, so that a count is the same current.
+/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V. If a board's
+/// converter has another reference, its divider ends at that reference, so that a count is the same current.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
 /// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5

@@ -46,7 +46,7 @@ pub enum PolarityOutcome {
 
 impl PolarityOutcome {
     /// Returns an error with the cause if the check did not pass.
-    pub fn passed(self) -> Result<(), Failure> {
+    pub fn require_pass(self) -> Result<(), Failure> {
         match self {
             Self::Right => Ok(()),
             Self::Fault(record) => Err(Failure::impossible(fault_and_remedy(&record))),

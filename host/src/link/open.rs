@@ -20,7 +20,7 @@ impl Board {
     }
 }
 
-/// Opens the wire of `port`. Returns it with its name for messages.
+/// Opens the wire of `port`. Returns the wire and its name for messages.
 fn wire(port: &PortSpec) -> Result<(Box<dyn Wire>, String), LinkError> {
     match port {
         PortSpec::Find => open_serial(None),

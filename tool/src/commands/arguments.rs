@@ -256,7 +256,7 @@ pub fn estimator_parser() -> impl TypedValueParser<Value = Estimator> {
         Estimator::Predicted(_) => "Observer with the motors' torques as inputs and its poles at the cutoff",
         _ => "As in scene files",
     };
-    words_parser(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
+    words_parser(LinearEstimator::windowless().map(move |(name, kind)| (name, describe(kind), kind)))
 }
 
 pub fn precision_parser() -> impl TypedValueParser<Value = Precision> {
@@ -278,7 +278,7 @@ mod tests {
 
     #[test]
     fn linear_estimators_have_no_window() {
-        let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
+        let names: Vec<&str> = LinearEstimator::windowless().map(|(name, _)| name).collect();
         assert_eq!(names, ["butterworth", "first-order", "backward-difference", "predicted"]);
     }
 

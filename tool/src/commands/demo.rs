@@ -10,7 +10,7 @@ use haptic_show::demo::crossing::{Crossing, run as cross};
 use haptic_show::demo::picture::draw;
 use haptic_show::demo::stiffness::{StiffnessLimit, stiffness_limit};
 use haptic_show::demo::{Demo, Inertia};
-use haptic_show::view::world::switched;
+use haptic_show::view::world::press_while_switching;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::path::PathBuf;
@@ -100,7 +100,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let results = Results { inertia: demo.inertia()?, crossings, limits };
     let svg = args.svg.unwrap_or_else(|| output::unused_path("haptic-demo.svg".as_ref()));
     let [without, with] = &results.crossings;
-    let (shown, moments) = switched()?;
+    let (shown, moments) = press_while_switching()?;
     draw(&shown, &moments, without, with).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();

@@ -282,7 +282,7 @@ fn requested_walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), max_tested_walls(task));
     if count > most {
         let reason = format!("{count} walls are too many: more than {most} hold the tip in place");
-        return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
+        return Err(Failure::wrong(reason).remedy(format!("measure at most {most} walls on this device")));
     }
     args.walls.members(task)
 }

@@ -236,7 +236,7 @@ fn feed_forward_benefit(report: &Report) -> String {
 }
 
 fn format_row(values: &[f64]) -> String {
-    // Prints an entry that is tiny beside the largest as 0, because it is a rounding error.
+    // Prints an entry that is tiny compared with the largest as 0, because it is a rounding error.
     let smallest = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let clean = values.iter().map(|value| if value.abs() < smallest { 0.0 } else { *value });
     clean.map(|value| format!("{:>13}", format_number(value))).collect::<String>()

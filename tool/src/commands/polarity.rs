@@ -26,6 +26,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         )?;
     }
     board.check_polarity()?;
-    board.wait_for_polarity()?.passed()?;
+    board.wait_for_polarity()?.require_pass()?;
     args.on.answer(json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
 }

@@ -274,8 +274,8 @@ const PAGE_STYLE: &str = ":root{color-scheme:light dark}body{font:1rem/1.4 sans-
     th,td{text-align:left;vertical-align:top;padding:.35rem .8rem .35rem 0;border-top:1px solid #8888}th{width:11rem}\
     main{display:grid;grid-template-columns:repeat(auto-fit,minmax(20rem,1fr));gap:1rem 2rem;margin-top:2rem}\
     pre{font-size:.7rem;overflow-x:auto}code{font-size:.75rem;overflow-wrap:anywhere}\
-    @media print{body{margin:0;max-width:none;font-size:10pt}main{grid-template-columns:1fr 1fr;break-before:page;margin:0}\
-    section{break-inside:avoid}details{display:none}.device{max-width:100mm}}";
+    @media print{body{margin:0;max-width:none;font-size:10pt}main{grid-template-columns:1fr 1fr;break-before:page;margin:0;gap:.5rem 2rem}\
+    section{break-inside:avoid}figure{margin:0}code{font-size:7pt}details{display:none}.device{max-width:100mm}}";
 
 /// Returns the answers of the first page, each with its question and the title of the section that has the details.
 fn answers(sections: &[Section], outputs: &[Output]) -> Vec<(&'static str, String, &'static str)> {

@@ -106,7 +106,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     }
     let columns = columns(options.fields, axes);
     let about = options.file.map(|_| About::read(board, divider)).transpose()?;
-    let about = about.map(|about| if options.plain { about.plain() } else { about });
+    let about = about.map(|about| if options.plain { about.without_comments() } else { about });
     let stop = interrupt::watch();
     board.keep_alive();
     board.start_stream(options.fields, divider)?;

@@ -258,7 +258,7 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
         top,
         "the notice does not move the plane"
     );
-    let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
+    let in_sight = "['ff-full', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
                     return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
     assert_eq!(browser.evaluate(&tab, in_sight), true, "the notice covers none of these buttons");
     assert_eq!(
@@ -415,12 +415,12 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
     browser.hold_until(
         &tab,
-        r"/^Now off: [\d.]+ times louder than on; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)",
+        r"/^Now off: [\d.]+ times louder than on\. Buzz: [67]\d Hz predicted, [67]\d measured\.$/.test($('ripple').textContent)",
     );
     browser.evaluate(&tab, "window.range = JSON.stringify(axes.rendered_n)");
     browser.evaluate(&tab, "$('ff-washout').click()");
     browser.wait_until(&tab, "view.walls[0].feed_forward === 'washout'");
-    browser.hold_until(&tab, r"/^Now on: [\d.]+ times quieter than off; /.test($('ripple').textContent)");
+    browser.hold_until(&tab, r"/^Now on: [\d.]+ times quieter than off\./.test($('ripple').textContent)");
     let keeps_range = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
     assert_eq!(browser.evaluate(&tab, keeps_range), true, "the axis keeps its range, so that a quiet wall looks quiet");
     // Pictures for a paper have a width in millimetres and letters of at least eight points.
@@ -521,11 +521,23 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
     let cured = browser.evaluate(&tab, "eyes.cure").as_f64().unwrap();
     assert!(cured < 8.0, "{cured} s");
     assert_eq!(browser.evaluate(&tab, "touched"), false);
-    browser.wait_until(&tab, r"/^Now on: \d\d+ times quieter than off; predicted [67]\d Hz, measured [67]\d\.$/.test($('ripple').textContent)");
+    browser.wait_until(&tab, r"/^Now on: \d\d+ times quieter than off\. Buzz: [67]\d Hz predicted, [67]\d measured\.$/.test($('ripple').textContent)");
     // Only six controls are in view besides More.
     let shown =
         "[...document.querySelectorAll('button, select, input')].filter(e => e.offsetParent).map(e => e.id).join()";
     assert_eq!(browser.evaluate(&tab, shown), "choice,rate,start-over,more,ff,stiffness,damping");
+    // A wall has no handle in view, so that a pull beside the tip does not move it.
+    let handle = place_on(
+        &mut browser,
+        &tab,
+        "stage",
+        "view.frame.toX(wallHandle(view.walls[0])[0])",
+        "view.frame.toY(wallHandle(view.walls[0])[1])",
+    );
+    let wall = browser.evaluate(&tab, "window.then = view.last.time, JSON.stringify(view.walls[0].values)");
+    browser.drag(&tab, handle, (handle.0 - 80.0, handle.1 + 60.0));
+    browser.wait_until(&tab, "touched && view.last.time > then + .5");
+    assert_eq!(browser.evaluate(&tab, "JSON.stringify(view.walls[0].values)"), wall);
     // Somebody pulls the tip sideways instead of inwards, and flips the switch twice.
     let tip = place_on(
         &mut browser,
@@ -559,13 +571,13 @@ fn somebody_who_reads_nothing_sees_the_buzz_and_its_cure() {
 fn start_over_resets_and_rate_and_device_change() {
     let (_view, mut browser, tab) = open_page();
     let walls = browser.evaluate(&tab, "JSON.stringify(view.walls)");
-    browser.evaluate(&tab, "$('close').click(); $('ff-full').click()");
+    browser.evaluate(&tab, "$('ff-full').click()");
     browser.wait_until(&tab, "view.walls[0].feed_forward === 'full'");
     browser.evaluate(&tab, "$('rate').value = 2000; $('rate').onchange()");
     browser.wait_until(&tab, "view.hello?.rate_hz === 2000 && view.plane && view.walls[0].feed_forward === 'full' && view.last.state === 'Armed'");
     browser.evaluate(&tab, "$('start-over').click()");
     let back = format!(
-        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close && view.hello.rate_hz === 1000 && !touched"
+        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && view.hello.rate_hz === 1000 && !touched"
     );
     browser.wait_until(&tab, &back);
     browser.wait_until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
@@ -574,7 +586,7 @@ fn start_over_resets_and_rate_and_device_change() {
                   $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
     assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
     browser.wait_until(&tab, "!$('notice').classList.contains('shown') && view.last.held");
-    // The arrow keys move the hand, too; on its rail it comes out of the wall at once.
+    // The arrow keys move the hand, too. A hand that is put on its rail leaves the wall at once.
     browser.evaluate(
         &tab,
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",

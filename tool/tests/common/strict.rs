@@ -27,7 +27,7 @@ pub fn strict_board() -> (SharedBoard, Session) {
     session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
     session.home().unwrap();
     session.check_polarity().unwrap();
-    session.wait_for_polarity().unwrap().passed().unwrap();
+    session.wait_for_polarity().unwrap().require_pass().unwrap();
     session.home_at_rest().unwrap();
     (shared, session)
 }

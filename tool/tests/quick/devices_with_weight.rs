@@ -45,7 +45,7 @@ fn homing_after_a_polarity_check_waits_for_the_device() {
     let (shared, mut board) = strict_board(file);
     board.home_at_rest().unwrap();
     board.check_polarity().unwrap();
-    assert!(board.wait_for_polarity().unwrap().passed().is_ok());
+    assert!(board.wait_for_polarity().unwrap().require_pass().is_ok());
     board.home_at_rest().unwrap();
     assert_eq!(shared.lock().device().q(), home);
     board.rows(Duration::from_millis(20)).unwrap();

@@ -4,6 +4,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod admissible_set;
 mod any_order;
 mod backup;
 mod bad_files;
@@ -46,5 +47,4 @@ mod single_counts;
 mod tools;
 mod tuned;
 mod view;
-mod what_is_held;
 mod why;

@@ -193,7 +193,7 @@ fn wrong_arguments_are_refused() {
 #[test]
 fn the_text_names_gain_and_cost_of_the_feed_forward() {
     let text = |name: &str, normal: &str| output(&model_line(&format!("devices/{name}.toml"), &[normal, "--force=1"]));
-    // The home pose of a light five-bar has almost no coupling; that of a WoodenHaptics has much.
+    // The home pose of a light five-bar has almost no coupling; the home pose of a WoodenHaptics has much.
     let light = text("pantograph-mk2", "--normal=0,1");
     assert!(light.contains("has almost no benefit"), "{light}");
     let heavy = text("woodenhaptics", "--normal=0.5,1,0");

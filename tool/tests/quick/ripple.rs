@@ -30,7 +30,8 @@ fn with_pressed_wall<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&P
 
 /// Rate, Hz, cutoff, Hz, stiffness, N/m, damping, N s/m, then root mean squares of the ripple without and with the
 /// feed-forward, N. A program that shares no code with this one simulated the linearised five-bar with dry friction in
-/// steps of 20 µs, with a hand against the wall's tip force J⁻ᵀ M E Wrr⁻¹. Each is the largest of 4 count offsets.
+/// steps of 20 µs, with a hand against the wall's tip force J⁻ᵀ M E Wrr⁻¹. Each ripple is the largest with 4 offsets of
+/// the encoder counts.
 const INDEPENDENT_RIPPLES: [(f64, f64, f64, f64, f64, f64); 4] = [
     (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
     (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),

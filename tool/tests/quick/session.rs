@@ -44,7 +44,7 @@ fn a_lost_frame_delays_one_force_by_its_timeout() {
 #[test]
 fn damaged_frames_stop_no_motor_and_lost_rows_are_counted() {
     let (shared, _session) = board_and_session();
-    NoisyWire::follow(shared.wire(), 40_000);
+    NoisyWire::check_telemetry(shared.wire(), 40_000);
 }
 
 #[test]

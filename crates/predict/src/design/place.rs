@@ -30,7 +30,7 @@ pub struct WallPlace {
     pub w_rr: f64,
     /// Sine of the nearest singular angle, on a patch the smallest.
     pub clearance: f64,
-    /// The stiffest walls that are predicted stable at this place, if requested. For a patch they are in its middle.
+    /// The stiffest walls that are predicted stable at this place, or in the middle of a patch, if requested.
     #[serde(flatten)]
     pub walls: Option<StiffestWalls>,
 }

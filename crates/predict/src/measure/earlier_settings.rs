@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
+    fn only_the_rules_of_an_interrupted_measurement_are_replaced() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
         let restore_point = before.restore_point("1", &measuring.rules).unwrap();
         assert_eq!(measuring.restored_from(&restore_point).unwrap(), (before.clone(), true));

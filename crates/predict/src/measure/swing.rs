@@ -59,7 +59,7 @@ const DIED_OUT_SHARE: f64 = 0.02;
 /// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
-/// Judgement of a motion.
+/// Result of watching a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
     /// The motion decays at least to the size that encoder steps can cause.
@@ -304,7 +304,8 @@ impl Trace {
         stretches
     }
 
-    /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
+    /// Returns the verdict if the trend is clear. A rising trend counts as growth only if the motion is also `larger`
+    /// than before, because the beat of two modes rises too.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_significant((slope, error));

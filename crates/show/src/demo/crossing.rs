@@ -26,11 +26,11 @@ const SLIDE_END: f64 = 2.4;
 /// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
-/// Time at which `view::world::switched` begins: the hand rests and the wall buzzes, s after arming.
+/// Time at which `view::world::press_while_switching` begins: the hand rests and the wall buzzes, s after arming.
 pub(crate) const SWITCHED_FROM: f64 = 2.5;
-/// Durations without, with and without the feed-forward in `view::world::switched`, s.
+/// Durations without, with and without the feed-forward in `view::world::press_while_switching`, s.
 pub const PHASES: [f64; 3] = [0.25, 0.35, 0.6];
-/// Depth of the hand below the wall's surface in `view::world::switched`, m.
+/// Depth of the hand below the wall's surface in `view::world::press_while_switching`, m.
 pub(crate) const RESTING_DEPTH: f64 = 0.045;
 
 /// One sample of a crossing.
@@ -181,7 +181,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
-        ripple: ripple(&resting),
+        ripple: ripple_about_moving_mean(&resting),
         bounces: contact.windows(2).filter(|pair| pair[0] && !pair[1]).count(),
         moments,
         lost,
@@ -191,7 +191,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
 
 /// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
 /// the force are not ripple.
-pub(super) fn ripple(force: &[f64]) -> f64 {
+pub(super) fn ripple_about_moving_mean(force: &[f64]) -> f64 {
     const HALF_WINDOW: usize = 10;
     if force.len() <= 2 * HALF_WINDOW {
         return 0.0;

@@ -127,10 +127,19 @@ impl PlotArea {
         let (left, top) = self.at;
         let (width, height) = self.size;
         let bottom = top + height;
-        for (value, text) in self.x.ticks(width / 75.0) {
+        let ticks = self.x.ticks(width / 75.0);
+        // In a narrow frame only every second or third tick has its text, and zero has.
+        let longest = ticks.iter().map(|(_, text)| text.len()).max().unwrap_or(0);
+        let shares: Vec<f64> = ticks.iter().map(|(value, _)| self.x.share(*value)).collect();
+        let gap = shares.windows(2).map(|pair| width * (pair[1] - pair[0])).fold(width, f64::min);
+        let stride = ((0.6 * longest as f64 + 0.7) * TICK_TEXT_SIZE / gap).ceil().max(1.0) as usize;
+        let zero = ticks.iter().position(|(value, _)| *value == 0.0).unwrap_or(0);
+        for (i, (value, text)) in ticks.into_iter().enumerate() {
             let (x, _) = self.pixel(value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, &text);
+            if i % stride == zero % stride {
+                canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, &text);
+            }
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {

@@ -20,20 +20,9 @@ pub const FAINT_GREY: &str = "#9a9a9a";
 /// Colour of values above the end of the scale.
 pub const ABOVE_SCALE: &str = "#f4a58a";
 
-/// The viridis scale sampled in equal steps, RGB.
-const VIRIDIS: [(u8, u8, u8); 11] = [
-    (68, 1, 84),
-    (72, 36, 117),
-    (65, 68, 135),
-    (53, 95, 141),
-    (42, 120, 142),
-    (33, 145, 140),
-    (34, 168, 132),
-    (68, 191, 112),
-    (122, 209, 81),
-    (189, 223, 38),
-    (253, 231, 37),
-];
+/// The viridis scale sampled in equal steps, 0xRRGGBB.
+const VIRIDIS: [u32; 11] =
+    [0x440154, 0x482475, 0x414487, 0x355f8d, 0x2a788e, 0x21918c, 0x22a884, 0x44bf70, 0x7ad151, 0xbddf26, 0xfde725];
 
 /// Returns the colour of a share between 0 and 1; values outside get the nearest end.
 pub fn scale(share: f64) -> String {
@@ -41,7 +30,9 @@ pub fn scale(share: f64) -> String {
     let at = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) * last as f64 };
     let low = (at.floor() as usize).min(last - 1);
     let mix = at - low as f64;
-    let ((r0, g0, b0), (r1, g1, b1)) = (VIRIDIS[low], VIRIDIS[low + 1]);
-    let channel = |a: u8, b: u8| (f64::from(a) + mix * (f64::from(b) - f64::from(a))).round() as u8;
-    format!("#{:02x}{:02x}{:02x}", channel(r0, r1), channel(g0, g1), channel(b0, b1))
+    let channel = |shift: u32| {
+        let [a, b] = [low, low + 1].map(|step| f64::from((VIRIDIS[step] >> shift) & 0xff));
+        (a + mix * (b - a)).round() as u8
+    };
+    format!("#{:02x}{:02x}{:02x}", channel(16), channel(8), channel(0))
 }

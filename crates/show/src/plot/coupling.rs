@@ -79,10 +79,10 @@ pub fn draw(
     let bottom = top + side + if paper.is_printed() { 6.0 } else { 26.0 };
     let mut canvas = page.canvas(bottom + notes.height());
     heading.draw(&mut canvas);
-    motion(&mut canvas, description, q, &here, &device, first);
+    draw_motion(&mut canvas, description, q, &here, &device, first);
     match spec.task {
         1 => {}
-        2 => curve(&mut canvas, second, &pose, &point, &n),
+        2 => draw_mass_curves(&mut canvas, second, &pose, &point, &n),
         _ => draw_surface(&mut canvas, second, &pose, &point, &n),
     }
     notes.draw(&mut canvas, bottom);
@@ -98,7 +98,7 @@ struct Square {
 
 impl Square {
     /// Returns a frame for values at most `half` from `middle`, in this unit.
-    fn around(self, middle: Point, half: f64, unit: &str) -> PlotArea {
+    fn plot_area_around(self, middle: Point, half: f64, unit: &str) -> PlotArea {
         let axis = |middle: f64| Axis::new("", unit, middle - half, middle + half);
         PlotArea { at: self.at, size: (self.side, self.side), x: axis(middle.0), y: axis(middle.1) }
     }
@@ -113,7 +113,7 @@ fn tip_displacement(description: &Description, q: &[f64], here: &Skeleton, motio
 }
 
 /// Draws the device, and the tip's paths after a push along n: without the feed-forward and with it.
-fn motion(
+fn draw_motion(
     canvas: &mut Canvas,
     description: &Description,
     q: &[f64],
@@ -125,7 +125,7 @@ fn motion(
     let (low, high) = linkage::bounding_box(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
-    let frame = place.around(middle, half, "m");
+    let frame = place.plot_area_around(middle, half, "m");
     linkage::draw_linkage(canvas, &frame, here);
     // Joint motion per metre of the tip along n: constrained, and free, which is the motion that Jᵀ causes.
     let held = device.unit_motion.clone();
@@ -164,7 +164,7 @@ fn draw_arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
 }
 
 /// Draws Weff, Wrr and their difference around a full turn.
-fn curve(canvas: &mut Canvas, place: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+fn draw_mass_curves(canvas: &mut Canvas, place: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let around = |i: i32| {
         let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / 180.0).sin_cos();
@@ -174,7 +174,7 @@ fn curve(canvas: &mut Canvas, place: Square, pose: &TaskPose, point: &MapPoint, 
     };
     let samples: Vec<(Point, f64, f64)> = (0..=180).filter_map(around).collect();
     let largest = samples.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max);
-    let frame = place.around((0.0, 0.0), 1.25 * largest, "kg");
+    let frame = place.plot_area_around((0.0, 0.0), 1.25 * largest, "kg");
     let polar = |value: fn(&(Point, f64, f64)) -> f64| -> Vec<Point> {
         samples.iter().map(|sample| (value(sample) * sample.0.0, value(sample) * sample.0.1)).collect()
     };

@@ -296,18 +296,16 @@ fn angle_label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     // Places the label below the pivot if no link is there, or above. Labels of two base pivots point apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
-    let (shift, anchor) = if left {
-        (-2.0, Anchor::End)
-    } else if right {
-        (2.0, Anchor::Start)
-    } else {
-        (8.0, Anchor::Start)
+    let (shift, anchor) = match (left, right) {
+        (true, _) => (-2.0, Anchor::End),
+        (_, true) => (2.0, Anchor::Start),
+        _ => (8.0, Anchor::Start),
     };
     let below = if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 };
-    let right = frame.at.0 + frame.size.0;
+    let ends = (frame.at.0, frame.at.0 + frame.size.0);
     let at = |shift: f64, below: f64, anchor: Anchor| {
         let mut label = Label { text: text.clone(), at: (centre.0 + shift, centre.1 + below), anchor };
-        label.at.0 -= (label.area()[2] - right).max(0.0);
+        label.at.0 -= (label.area()[2] - ends.1).max(0.0) + (label.area()[0] - ends.0).min(0.0);
         label
     };
     let has_link = |label: &Label| {

@@ -16,13 +16,11 @@ const VALUE_WIDTH: f64 = 120.0;
 const ROW_HEIGHT: f64 = 40.0;
 const TOP_MARGIN: f64 = 92.0;
 /// Height of the names of decades and colours below the rows, pixels.
-const FOOT: f64 = 48.0;
+const FOOT_HEIGHT: f64 = 48.0;
 /// Shorter bars are placed under their names instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
 /// Minimum distance between labels of decades, pixels.
 const DECADE_GAP: f64 = 78.0;
-/// Legend text that explains the bars.
-const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
 /// Draws the picture with a title and two subtitle lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Paper) -> Picture {
@@ -36,14 +34,13 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     let left = if in_line { name_width } else { EDGE_MARGIN };
     let width = page.wide - left - VALUE_WIDTH;
     let mut under = subtitle.to_vec();
-    let below = in_line && page.wide - left - 260.0 > LETTER_WIDTH * BAR_MEANING.len() as f64;
-    under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
+    under.push("bars: largest stable stiffness without the effect".into());
     let heading = page.heading(title, &under);
     let top_of_rows = if paper.is_printed() { EDGE_MARGIN } else { TOP_MARGIN + heading.extra_height(2) };
     // On paper the rows share the height of a column.
     let bar = if paper.is_printed() { 7.0 } else { 12.0 };
     let row_high = match paper.is_printed() {
-        true => (page.most_high() - top_of_rows - FOOT).min(34.0 * rows.len() as f64) / rows.len() as f64,
+        true => (page.most_high() - top_of_rows - FOOT_HEIGHT).min(34.0 * rows.len() as f64) / rows.len() as f64,
         false if in_line => ROW_HEIGHT,
         false => ROW_HEIGHT + 16.0,
     };
@@ -54,7 +51,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
     let at = |kp: f64| left + width * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
     let bottom = top_of_rows + row_high * rows.len() as f64;
 
-    let mut canvas = page.canvas(bottom + FOOT);
+    let mut canvas = page.canvas(bottom + FOOT_HEIGHT);
     heading.draw(&mut canvas);
     let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {
@@ -93,9 +90,6 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &EffectShares, paper: Pape
         }
     }
     canvas.coloured_text((left, bottom + 40.0), 12.0, Anchor::Start, OFF_COLOUR, "no feed-forward");
-    canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL_COLOUR, "feed-forward (4)");
-    if below {
-        canvas.text((left + 260.0, bottom + 40.0), 12.0, Anchor::Start, false, BAR_MEANING);
-    }
+    canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL_COLOUR, "with feed-forward");
     canvas.finish(title, "Largest stable stiffness with everything, and without each effect in turn.")
 }

@@ -63,7 +63,7 @@ impl About {
     }
 
     /// Leaves the lines out: a CSV file then has no comments, and its states are numbers.
-    pub fn plain(self) -> Self {
+    pub fn without_comments(self) -> Self {
         Self { text: String::new(), ..self }
     }
 

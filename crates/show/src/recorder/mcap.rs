@@ -60,7 +60,7 @@ pub struct McapRecorder {
     pending: PendingBytes,
     file: File,
     path: PathBuf,
-    /// Bytes of complete chunks in the file.
+    /// Length of the file's complete chunks, bytes.
     complete: u64,
     can_truncate: bool,
     row: MessageDescriptor,
@@ -70,7 +70,7 @@ pub struct McapRecorder {
     start_ns: u64,
     sequence: u32,
     gathered_bytes: usize,
-    /// Rows in complete chunks.
+    /// Number of rows in complete chunks.
     rows: u64,
     pending_rows: u64,
     is_ended: bool,

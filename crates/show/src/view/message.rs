@@ -20,7 +20,7 @@ pub enum FromPage {
     },
     /// The key is still down; sent several times a second. It never turns the motors on, because only a press arms.
     Hold {
-        /// Control step of the newest picture when the page detected its key, for the age of the key press.
+        /// Control step of the newest picture when the page last detected the pressed key. It shows the message's age.
         seen: u32,
     },
     /// The key was released: motors off.
@@ -43,7 +43,7 @@ pub enum FromPage {
         #[serde(default)]
         beyond: bool,
     },
-    /// New position of a wall. A plane keeps its direction without a new normal.
+    /// New position of a wall. Without a new normal a plane keeps its direction.
     Wall {
         /// Index of the wall, from 0.
         wall: u8,
@@ -64,17 +64,17 @@ pub enum FromPage {
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
-    /// Replace a simulated device by a shipped one, by its number in [`super::World::names`].
+    /// A request to replace a simulated device by a shipped device.
     World {
-        /// Number, from 0.
+        /// Number of the device in [`super::World::names`], from 0.
         world: usize,
     },
-    /// Change the control rate of a simulated board.
+    /// A request to change the control rate of a simulated board.
     Rate {
         /// Rate, Hz.
         hz: f32,
     },
-    /// Send the limiting effects of the nearest wall with the next boundary.
+    /// A request for the limiting effects of the nearest wall, which are sent with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),

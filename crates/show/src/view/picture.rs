@@ -157,7 +157,7 @@ impl<'a> Newest<'a> {
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
-            ripple: ripple(self.recent_values(Field::RenderedForce, 0, recent)),
+            ripple: ripple_about_mean(self.recent_values(Field::RenderedForce, 0, recent)),
             frequency: frequency(&force, rows_hz),
             power: energy_given_out(
                 self.recent_values(Field::RenderedForce, 0, recent).zip(self.recent_values(Field::Distance, 0, recent)),
@@ -210,8 +210,8 @@ fn ellipse(xx: f64, xy: f64, yy: f64) -> Ellipse {
     Ellipse { axes: [mean + half, mean - half], angle: 0.5 * (2.0 * xy).atan2(xx - yy) }
 }
 
-/// Computes the deviation from the mean, rms.
-fn ripple(values: impl Iterator<Item = f64>) -> f64 {
+/// Computes the root mean square deviation from the mean of all values.
+fn ripple_about_mean(values: impl Iterator<Item = f64>) -> f64 {
     let values: Vec<f64> = values.collect();
     if values.is_empty() {
         return 0.0;
@@ -225,7 +225,7 @@ fn ripple(values: impl Iterator<Item = f64>) -> f64 {
 /// value was below the mean by half the rms, so that noise does not count.
 fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let margin = 0.5 * ripple(values.iter().copied());
+    let margin = 0.5 * ripple_about_mean(values.iter().copied());
     let (mut below, mut crossings) = (false, Vec::new());
     for (row, value) in values.iter().enumerate() {
         if below && value - mean > margin {
@@ -290,8 +290,8 @@ mod tests {
     #[test]
     fn the_ripple_of_a_sine_is_its_rms() {
         let sine = (0..1000).map(|i| 5.0 + 3.0 * (f64::from(i) * std::f64::consts::TAU / 100.0).sin());
-        assert!((ripple(sine) - 3.0 / 2.0_f64.sqrt()).abs() < 1e-9);
-        assert_eq!(ripple(std::iter::empty()), 0.0);
+        assert!((ripple_about_mean(sine) - 3.0 / 2.0_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(ripple_about_mean(std::iter::empty()), 0.0);
     }
 
     #[test]

@@ -347,7 +347,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_a_thread_the_limits_are_explained_with_the_motors_off() {
+    fn without_threads_limits_are_explained_with_the_motors_off() {
         let mut predictor = Predictor::default();
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));

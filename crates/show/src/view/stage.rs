@@ -46,8 +46,8 @@ use walls::check_scene;
 
 /// Maximum number of events that one turn handles.
 const MAX_EVENTS: usize = 64;
-/// Longest age of the key press, by board steps and by page messages, before the motors go off. It is a heartbeat and a
-/// turn shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault.
+/// Longest age of the key press, by board steps and by page messages, before the motors go off. The board's own limit,
+/// [`haptic_bridge::control::KEY_SECONDS`], is longer by a heartbeat and a turn, and causes a fault.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
 /// Distance from the wall to which the simulated hand moves a tip before the motors go on, m.
 const EXIT_DISTANCE: f64 = 0.005;
@@ -515,7 +515,7 @@ impl Stage {
             }
             FromPage::Rate { hz } => {
                 let scene = self.board().scene()?.unwrap_or_default();
-                self.again(id, &Scene { rate_hz: hz, ..scene }, None);
+                self.recreate(id, &Scene { rate_hz: hz, ..scene }, None);
             }
             FromPage::Here {}
             | FromPage::Disarm {}
@@ -546,9 +546,9 @@ impl Stage {
     }
 
     /// Creates the simulated world again with another scene, in its first or another pose.
-    fn again(&mut self, id: PageId, scene: &Scene<f32>, pose: Option<Vec<f64>>) {
+    fn recreate(&mut self, id: PageId, scene: &Scene<f32>, pose: Option<Vec<f64>>) {
         let (first, start) = (Scene { rate_hz: scene.rate_hz, ..self.first.clone() }, self.start);
-        if self.reopen(id, self.world.again(scene, pose.map_or(start, |q| padded(&q)))) {
+        if self.reopen(id, self.world.recreate(scene, pose.map_or(start, |q| padded(&q)))) {
             (self.first, self.start) = (first, start);
         }
     }
@@ -561,7 +561,7 @@ impl Stage {
                 && TaskPose::of(&self.device.mechanism, q).is_ok()
         });
         if is_possible {
-            self.again(id, &self.first.clone(), pose);
+            self.recreate(id, &self.first.clone(), pose);
         } else {
             self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
         }

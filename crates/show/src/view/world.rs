@@ -1,9 +1,8 @@
 //! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
-pub use crate::demo::crossing::hand_settings;
-use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, press};
-use haptic_bridge::model::shipped::WORLDS;
+use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, hand_settings, press};
+use haptic_bridge::model::shipped::*;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
@@ -19,6 +18,28 @@ const WALL_DISTANCE: f64 = 0.010;
 const FRICTION_FACTOR: f64 = 0.1;
 /// Number of encoder counts in the demo, relative to the device file.
 const ENCODER_FACTOR: f64 = 5.0;
+
+/// A shipped device in front of the walls of a scene.
+#[derive(Clone, Copy, Debug)]
+pub struct ShippedWorld {
+    /// Name of the device, with the name of the scene after a slash, and a description after a colon.
+    pub name: &'static str,
+    /// Text of the device file.
+    pub device: &'static str,
+    /// Text of the scene file; `None` for one wall in front of the tip.
+    pub scene: Option<&'static str>,
+}
+
+/// The devices that a page offers in addition to the demo's.
+pub const WORLDS: [ShippedWorld; 7] = [
+    ShippedWorld { name: "haply-2diy/disc: a disc", device: HAPLY_2DIY, scene: Some(DISC) },
+    ShippedWorld { name: "haply-2diy/groove: a groove", device: HAPLY_2DIY, scene: Some(GROOVE) },
+    ShippedWorld { name: "pantograph-mk2/corner: a corner", device: PANTOGRAPH_MK2, scene: Some(CORNER) },
+    ShippedWorld { name: "hapkit-paddle/wall: a wall", device: HAPKIT_PADDLE, scene: Some(PADDLE_WALL) },
+    ShippedWorld { name: "hapkit-paddle/slow: a wall at 1 kHz", device: HAPKIT_PADDLE, scene: Some(PADDLE_WALL_1_KHZ) },
+    ShippedWorld { name: "woodenhaptics: a wall", device: WOODENHAPTICS, scene: None },
+    ShippedWorld { name: "phantom-premium-1.5: a wall", device: PHANTOM_PREMIUM, scene: None },
+];
 
 /// A board, its device and its simulation.
 pub struct World {
@@ -98,13 +119,14 @@ impl World {
         let no_world = || Failure::wrong(format!("there is no world {number}"));
         let world = WORLDS.get(index).ok_or_else(no_world)?;
         let file = DeviceFile::parse(world.device, world.name)?;
-        let read = |(_, text)| SceneFile::parse(text, world.name, file.spec().task)?.scene().map_err(Failure::wrong);
+        let read = |text| SceneFile::parse(text, world.name, file.spec().task)?.scene().map_err(Failure::wrong);
         let scene = world.scene.map(read).transpose()?;
-        Ok(Self { scene_name: world.scene.map(|(name, _)| name.into()), ..Self::simulate(file, scene)? })
+        let scene_name = world.name.split([':', '/']).nth(1).filter(|_| scene.is_some()).map(Into::into);
+        Ok(Self { scene_name, ..Self::simulate(file, scene)? })
     }
 
     /// Creates this simulated world again with another scene, in another pose (rad).
-    pub fn again(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
+    pub fn recreate(&self, scene: &Scene<f32>, pose: [f64; 3]) -> Result<Self, Failure> {
         let file = self.file.clone().ok_or_else(|| Failure::wrong("this device is not simulated"))?;
         let mut world = Self::start(file, Some(pose))?;
         world.board.set_scene(scene)?;
@@ -128,7 +150,7 @@ impl World {
 
 /// Lets a hand rest on the wall of [`World::demo`] while the feed-forward is off, on and off again. Returns that demo
 /// and the moments of these [`PHASES`].
-pub fn switched() -> Result<(Demo, Vec<Moment>), Failure> {
+pub fn press_while_switching() -> Result<(Demo, Vec<Moment>), Failure> {
     let World { mut board, simulated: Some(shared), file: Some(file), .. } = World::demo()? else {
         return Err(Failure::impossible("the demo is not simulated"));
     };

@@ -75,10 +75,10 @@ impl LinearEstimator {
     }
 
     /// Returns the linear estimators without a window. [`LinearEstimator::with_window`] adds one.
-    pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
-        let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
+    pub fn windowless() -> impl Iterator<Item = (&'static str, Kind)> {
+        let has_no_window = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
         let all = Kind::ALL.iter().copied();
-        all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
+        all.filter(move |(_, kind)| has_no_window(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
     /// Returns true if the estimator begins with a difference.
@@ -248,7 +248,7 @@ impl LinearEstimator {
         most * rate_hz
     }
 
-    /// Returns the states at a constant velocity `moved` per sample, of which commands added `pushed`.
+    /// Returns the states at a constant motion `moved` per sample, to which commands contribute `pushed`.
     pub(super) fn steady_states(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
         if states == 0 {

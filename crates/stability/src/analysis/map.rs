@@ -291,6 +291,7 @@ impl Reachable {
         Ok(grid)
     }
 
+    /// Marks the points that paths from home reach without crossing a singularity.
     fn flood(&mut self, device: &Device<f64>) -> Result<(), PoseError> {
         let count: usize = self.axes.iter().map(Vec::len).product();
         let sides: Vec<Option<bool>> =

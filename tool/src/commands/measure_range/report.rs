@@ -88,7 +88,8 @@ struct Area {
     spread: f64,
 }
 
-fn spread(repeats: &[f64]) -> f64 {
+/// Returns the difference of the largest and the smallest repeat, as a share of the median.
+fn relative_spread(repeats: &[f64]) -> f64 {
     let ((low, high), median) = (bounds(repeats), median(repeats));
     if median > 0.0 { (high - low) / median } else { 0.0 }
 }
@@ -329,7 +330,7 @@ impl Report<'_> {
                 spread: points
                     .iter()
                     .flat_map(|(point, _)| self.plan.repeats_by_pull(point))
-                    .map(|(_, repeats)| spread(&repeats))
+                    .map(|(_, repeats)| relative_spread(&repeats))
                     .fold(0.0, f64::max),
             });
         }

@@ -32,7 +32,8 @@ pub struct Row {
     pub size: f64,
     /// Error of f32 against f64 with the same counts, as a share of the largest torque.
     pub rounding: f64,
-    /// Error of f32 against true angles and velocities, per [`COUNTS_PER_TURN`], as a share of the largest torque.
+    /// Error of f32 with encoder counts against true angles and velocities, for each of [`COUNTS_PER_TURN`], as a share
+    /// of the largest torque.
     pub estimated: [f64; 2],
 }
 

@@ -318,5 +318,5 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
 #[test]
 fn damaged_frames_on_a_pseudo_terminal_stop_no_motor() {
     let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
-    NoisyWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
+    NoisyWire::check_telemetry(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }

@@ -29,7 +29,7 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
             let theory = predicted[point["mode"].as_str().unwrap()]["boundary"][0]["kp"].as_f64().unwrap();
             assert_eq!(point["theory_kp"].as_f64(), Some(theory));
             let off = point["kp"].as_f64().unwrap() / theory - 1.0;
-            // The search ends within half a percent; the rest is growth too slow to be detected within a trial.
+            // The search ends within half a percent; growth that is too slow to be detected in a trial adds to that.
             assert!(off.abs() < 0.01, "{name} {normals:?}: {off:.4} off, {point}");
         }
     }

@@ -1,7 +1,8 @@
 // ---- tried gains --------------------------------------------------------------------------------------------------
 // A press on the wall marks its gains: with a disc if the wall was quiet, with a cross if its force rippled more than
-// BUZZES. A long press is judged by its last 0.2 s, and the tip may lift off in between.
-const PRESSED = .3, LATELY = .2, LIFTED = .15;
+// BUZZES. A long press is judged by its last 0.2 s, and the tip may lift off in between. Where a shake is predicted to
+// grow, only a longer press is quiet.
+const PRESSED = .3, GROWN = 2, LATELY = .2, LIFTED = .15;
 let tried = { marks: [] };
 const keyOf = (index, wall) => [index, wall.stiffness, wall.damping, wall.feed_forward].join();
 function markGains(p) {
@@ -19,6 +20,7 @@ function markGains(p) {
   press.ripples = [...press.ripples.filter(([time]) => p.time - time <= LATELY), [p.time, n.ripple]];
   if (p.time - press.began < PRESSED) return;
   const buzzes = Math.min(...press.ripples.map(([, ripple]) => ripple)) > BUZZES;
+  if (!buzzes && !predictedStable() && p.time - press.began < GROWN) return;
   const mark = { key, wall: n.wall, kp: wall.stiffness, kd: wall.damping, mode: wall.feed_forward, buzzes, q: p.q };
   tried.marks = [...tried.marks.filter(old => old !== press.mark && (old.key !== key || !isHere(old, p.q))), mark].slice(-200);
   press.mark = mark;

@@ -34,7 +34,7 @@ function receive(message) {
 }
 function hello(message) {
   const name = [message.device, message.scene, message.simulated].join(), other = view.name !== name;
-  view.name = name; view.hello = message; view.trail = []; view.recent = []; view.box = view.closeAt = view.fault = view.still = slow = null;
+  view.name = name; view.hello = message; view.trail = []; view.recent = []; view.box = view.fault = view.still = slow = null; view.pressedAt = view.missed = NaN;
   $("device").textContent = message.device;
   document.title = message.device + ": haptic view";
   $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", without its weight" : "") : message.board + " " + message.serial + " on " + message.port) +
@@ -68,7 +68,7 @@ function notice(why, { of, again } = {}, good) {
 $("anyway").onclick = () => { const again = view.again; notice(""); say(again); };
 $("dismiss").onclick = () => notice("");
 // A notice about a completed action disappears by itself.
-function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
+function done(why) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 4000); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
 // With the key the page sends the step of the newest picture that it had when it saw the key: half a second after that

@@ -1,5 +1,7 @@
 // ---- stiffness and damping ----------------------------------------------------------------------------------------
 const MODES = ["off", "full", "washout"], NAMES = { off: "off", full: "full", washout: "washed out" };
+// The switch calls the washed-out feed-forward on.
+const nameOf = mode => mode === "washout" && !paper && !document.body.classList.contains("more") ? "on" : NAMES[mode];
 // While a gain is being typed, the input keeps its text until the gain is refused.
 function showGains(force) {
   const count = view.walls.length;
@@ -79,12 +81,18 @@ function place(c, size, words, places, taken, points, [left, top, right, foot]) 
   words.forEach((line, i) => { const [x, y] = [best.box[0] + 2, best.box[1] + high * (i + .8)]; c.strokeText(line, x, y); c.fillText(line, x, y); });
   c.restore();
 }
+const planeOf = index => view.plane?.wall === index ? view.plane : null;
+function predictedStable() {
+  const wall = view.walls[view.wall], plane = planeOf(view.wall);
+  return !view.limited && (!plane || !wall || wall.stiffness <= below(plane[wall.feed_forward], wall.damping));
+}
 let spoken = null;
 function drawPlane() {
   const [c, w, h, size] = prepareCanvas($("plane")), wall = view.walls[view.wall];
   view.predictedBuzz = null;
   if (!wall) { c.fillStyle = palette.dim; c.fillText("no wall in this scene", 12, 24); return; }
-  const plane = view.plane && view.plane.wall === view.wall ? view.plane : null;
+  // Full is drawn for experts, and where it is chosen.
+  const plane = planeOf(view.wall), drawn = MODES.filter(mode => mode !== "full" || paper || wall.feed_forward === mode || document.body.classList.contains("more"));
   const most = gain => plane ? Math.max(...MODES.flatMap(mode => plane[mode].map(p => p[gain]))) : 0, tops = [1.08 * most("kd"), 1.12 * most("kp")];
   if (plane) chooseScale(wall, ...tops);
   const scale = $("scale").value, log = scale === "log";
@@ -106,7 +114,7 @@ function drawPlane() {
   // The curves, and the visible points of each.
   const points = {}, room = [left, top, right, foot];
   c.save(); c.beginPath(); c.rect(left, top, right - left, foot - top); c.clip();
-  if (plane) for (const mode of MODES) {
+  if (plane) for (const mode of drawn) {
     const mine = wall.feed_forward === mode, [first, second] = plane[mode], curve = [...plane[mode]];
     // Adds points to the first piece, which is straight and thus curved on logarithmic axes.
     if (second) for (let share = .5; share > 1e-3; share /= 2) curve.splice(1, 0, { kd: second.kd * share, kp: first.kp + (second.kp - first.kp) * share });
@@ -118,7 +126,7 @@ function drawPlane() {
   } else { c.fillStyle = palette.dim; c.fillText("the boundary is computed when the tip is nearest to this wall", left + 8, top + 1.4 * size); }
   points.marks = drawMarks(c, X, Y, plane, wall);
   c.restore();
-  const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = !view.limited && (limit === null || wall.stiffness <= limit);
+  const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = predictedStable();
   document.body.dataset.stable = stable;
   if (!stable && view.last?.numbers.wall === view.wall) view.predictedBuzz = view.last.buzz?.hz ?? null;
   const [x, y] = [X(wall.damping), Y(wall.stiffness)], gains = `${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}`;
@@ -137,10 +145,10 @@ function drawPlane() {
     const own = points[mode], peak = own.reduce((best, p, i) => p[1] < own[best][1] ? i : best, 0);
     const near = own.map((_, i) => i).filter(i => i % Math.ceil(own.length / 40) === 0 || i === peak).sort((a, b) => Math.abs(a - peak) - Math.abs(b - peak));
     c.fillStyle = palette[mode + "-name"]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
-    place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
+    place(c, size, [alike.map(nameOf).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
   // Announces a change of gains, but not a change of the limit that comes from a moving hand.
-  const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${verdict && ": " + verdict}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
+  const state = `${gains}, feed-forward ${nameOf(wall.feed_forward)}${verdict && ": " + verdict}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
   if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
 }
@@ -153,7 +161,7 @@ function turn(event, last) {
   const r = $("plane").getBoundingClientRect();
   const [damping, stiffness] = view.planeFrame.from(event.clientX - r.left - turning.x, event.clientY - r.top - turning.y);
   // Keeps a refusal during the drag; only the gains at its end count.
-  if (last) notice("");
+  if (last && view.of === "gains") notice("");
   if (!view.again || last === undefined) sendGains({ damping, stiffness }, !last);
 }
 function offsetFromDot(event) {
@@ -165,7 +173,7 @@ $("plane").onpointerdown = event => {
   if (!view.planeFrame || !view.walls[view.wall]) return;
   const { x, y } = offsetFromDot(event);
   if (Math.hypot(x, y) > reach(event)) return;
-  $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; notice("");
+  $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; if (view.of === "gains") notice("");
 };
 $("plane").onpointermove = event => {
   if (turning) return turn(event, false);

@@ -109,9 +109,9 @@ function drawScope() {
     }
     c.strokeStyle = own; c.lineWidth = channel ? 1.4 : 2.6; trace(values, Y);
     if (!channel && view.ghost && wall) {
-      const words = "now: " + NAMES[wall.feed_forward];
+      const words = "now: " + nameOf(wall.feed_forward);
       c.textAlign = "right"; c.fillStyle = own; c.font = `700 ${size}px system-ui, sans-serif`; c.fillText(words, right, size);
-      const wide = c.measureText(words).width; c.font = `${size}px system-ui, sans-serif`; c.fillStyle = palette.dim; c.fillText("before: " + NAMES[view.ghost.mode], right - wide - size, size);
+      const wide = c.measureText(words).width; c.font = `${size}px system-ui, sans-serif`; c.fillStyle = palette.dim; c.fillText("before: " + nameOf(view.ghost.mode), right - wide - size, size);
     }
   }
   if (kind === 1 || kind === 3) { c.strokeStyle = palette.dim; c.lineWidth = 1; c.setLineDash([4, 4]); c.beginPath(); c.moveTo(X(crossing), top); c.lineTo(X(crossing), foot); c.stroke(); c.setLineDash([]); }
@@ -133,16 +133,18 @@ function compareRipple(p) {
   if (wall && now?.mode !== wall.feed_forward) {
     if (now?.ripple > 0) { before = now; if (view.sweep && view.fast) view.ghost = { mode: now.mode, values: pairs(view.sweep, 0) }; }
     now = { mode: wall.feed_forward, gains, ripple: null, since: p.time };
+    // The sentences of the previous mode are over at once.
+    toldAt.told = 0; $("ripple").textContent = "";
   }
   if (now && (!view.fast || view.limited)) { now.since = p.time; if (view.limited) now.ripple = null; }
   // The first tenths of a second still belong to the previous mode, or to the touch.
   else if (now && p.time - now.since > 0.4) { now.ripple = n.ripple; now.settled = p.time - now.since > .8; }
   view.buzz = view.fast && !view.limited && n.ripple > BUZZES ? n.frequency : null;
-  if (view.buzz && now.ripple !== null) measured = view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz, measured ${digits(view.buzz, 2)}` : `measured ${digits(view.buzz, 2)} Hz`;
+  if (view.buzz && now.ripple !== null) measured = ` Buzz: ${view.predictedBuzz ? `${digits(view.predictedBuzz, 2)} Hz predicted, ${digits(view.buzz, 2)} measured` : `${digits(view.buzz, 2)} Hz`}.`;
   const times = before?.ripple / now?.ripple, name = part => part.mode === "washout" ? "on" : NAMES[part.mode], many = ratio => ratio < 1.5 ? "as quiet" : ratio < 10 ? digits(ratio, 2) : String(+ratio.toPrecision(2));
   const louder = times < 1 / 1.5, factor = louder ? many(1 / times) : many(times), than = before && (factor === "as quiet" ? "as quiet as" : `${factor} times ${louder ? "louder" : "quieter"} than`);
   const words = view.limited ? "Not rendered: motors at their limit." : !now || now.ripple === null ? "" : before ? `Now ${name(now)}: ${than} ${name(before)}` : `Now ${name(now)}: ripple ${digits(now.ripple, 2)} N`;
-  if (words && (now.settled || view.limited)) tell("ripple", words + (measured && !view.limited ? "; " + measured + "." : ""));
+  if (words && (now.settled || view.limited)) tell("ripple", words + (view.limited ? "" : "." + measured));
   else if (!words && !view.fast && !now?.ripple) tell("ripple", "");
 }
 function resetComparison() { now = before = null; measured = ""; fit(); }

@@ -51,7 +51,7 @@ function follow() {
     if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });
     say({ do: "gains", wall, ...gains, beyond: true });
   });
-  if (task) done(task, 30);
+  if (task) notice(task, {}, true);
 }
 const short = value => +value.toPrecision(6);
 const shown = () => view.hello.device + (view.hello.scene ? "/" + view.hello.scene : "");

@@ -28,9 +28,9 @@ const GLOWS = 4e-4;
 function drawGlow(c, f, g) {
   const power = view.last.state === "Armed" ? view.last.numbers.power : 0;
   if (!(power > GLOWS) || paper) return;
-  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], light = c.createRadialGradient(x, y, 6, x, y, 90);
+  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], wide = Math.min(90, f.w / 6), light = c.createRadialGradient(x, y, 6, x, y, wide);
   light.addColorStop(0, palette.bad); light.addColorStop(1, "transparent");
-  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 90, 0, 2 * Math.PI); c.fill(); c.restore();
+  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, wide, 0, 2 * Math.PI); c.fill(); c.restore();
 }
 
 // ---- slow motion --------------------------------------------------------------------------------------------------
@@ -81,8 +81,8 @@ function drawSlow(c, w, h, size, f, g) {
   c.strokeStyle = palette.ink; c.lineWidth = 1.5; c.beginPath(); c.moveTo(X(distance[now]), y + .8 * size); c.lineTo(X(distance[now]), y + 1.6 * size); c.stroke();
   const ms = seconds => digits(1e3 * seconds, 2) + " ms", words = [
     ["1 Sample: the board reads the tip", `every ${ms(1 / view.hello.rate_hz)} (the mark).`], ["2 Force: computed from that sample,", "held until the next (the arrow)."],
-    slow.buzz ? [`3 Delay: the push comes ${ms(late)} late,`, "and drives the tip on."] : ["3 Delay: as late as before, but", "the wall now meets more: it dies out."]][step];
-  if (step === 2 && !slow.buzz && slow.mode === "off") words[1] = "these gains bear it: it dies out.";
+    slow.buzz ? [`3 Delay: the push comes ${ms(late)} late,`, "and drives the tip on."] : !predictedStable() ? ["3 Delay: the push comes late,", "so that a small shake grows."]
+      : ["3 Delay: as late as before, but", slow.mode === "off" ? "these gains bear it: it dies out." : "the tip now resists more: it dies out."]][step];
   c.fillStyle = palette.dim; c.fillText("slow motion, 1/20", .5 * size, 1.3 * size);
   c.fillStyle = palette.ink; c.font = `600 ${size}px system-ui, sans-serif`; words.forEach((line, i) => c.fillText(line, .5 * size, (7.3 + 1.3 * i) * size)); c.restore();
 }

@@ -9,9 +9,10 @@ function runByItself(p) {
   if (p.state === "Disarmed" && !view.down && !stopped && !document.hidden && performance.now() > armAfter) { armAfter = performance.now() + 500; press(); }
   if (touched || !railed() || p.state !== "Armed") return;
   if (!p.hand) lead(wallPlace(-RAIL.least));
-  // Where simulated time lags, a phase ends once it has been seen.
-  const real = performance.now() / 1000, visible = view.walls[0].feed_forward === "off" ? view.buzz : now?.settled;
-  if (!switched || p.time - switched.time > SWITCH || p.speed < .8 && visible && real - switched.real > .75 * SWITCH) { flip(!switched); switched = { time: p.time, real }; }
+  // Where simulated time lags, a phase ends once its effect has been seen.
+  const real = performance.now() / 1000, visible = view.walls[0].feed_forward === "off" ? p.numbers.ripple > 2 * BUZZES : now?.settled;
+  if (switched) switched.seen = visible ? switched.seen ?? real : null;
+  if (!switched || p.time - switched.time > SWITCH || p.speed < .8 && switched.seen && real - switched.seen > SWITCH / 2) { flip(!switched); switched = { time: p.time }; }
 }
 function flip(off) { sendGains({ feed_forward: off || view.walls[view.wall]?.feed_forward !== "off" ? "off" : "washout" }); }
 $("ff").onclick = () => flip();
@@ -37,16 +38,18 @@ function lead(place, last = true) { if (view.down && !view.last.held) return; co
 
 // One sentence for the thing that is seen.
 function describe(p) {
-  const wall = view.walls[p.numbers.wall], off = wall?.feed_forward === "off", stable = document.body.dataset.stable !== "false", [free, kept] = p.numbers.inertia || [], coupled = kept > 1.005 * free;
-  const words = !wall ? "No wall in this scene." : p.state === "Fault" ? "A fault turned the motors off." : p.state !== "Armed" ? "The motors are off: the wall gives no force."
+  const wall = view.walls[p.numbers.wall], off = wall?.feed_forward === "off", stable = predictedStable(), [free, kept] = p.numbers.inertia || [], coupled = kept > 1.005 * free;
+  const words = !wall ? "No wall in this scene." : p.state === "Fault" ? "A fault turned the motors off."
+    : !view.fast && simulated() && railed() && !touched && !stopped ? "A hand pulls the tip into the wall." : p.state !== "Armed" ? "The motors are off: the wall gives no force."
     : view.limited ? "Not rendered: motors at their limit. Pull less, or choose a softer wall."
     : !view.fast ? simulated() ? "Pull the tip into the wall." : "Move the tip into the wall."
-    : view.buzz ? "The force comes late and pushes the tip on: the wall buzzes." + (off && coupled ? " Turn the feed-forward on." : "")
+    : view.buzz && stable && !off && !now?.settled ? "The feed-forward is on: the shake dies out."
+    : view.buzz ? (kept ? `The force comes late for a tip as light as ${inKilograms(off ? free : kept)}: the wall buzzes.` : "The force comes late: the wall buzzes.") + (off && coupled ? " Turn the feed-forward on." : "")
     : !stable ? `${off ? "Without feed-forward" : "With these gains"} a small shake grows.`
     : !coupled ? "Quiet. Nothing couples here: the feed-forward changes nothing."
-    : off ? "Quiet without feed-forward at these gains." : `Quiet: the feed-forward stops the tip's swerve, so the wall meets ${inKilograms(kept)} instead of ${inKilograms(free)}.`;
+    : off ? "Quiet without feed-forward at these gains." : `Quiet: the feed-forward stops the sideways swerve, so the tip resists like ${inKilograms(kept)}, not ${inKilograms(free)}.`;
   tell("told", words);
-  $("told").classList.toggle("hot", !!(view.buzz || view.limited));
+  $("told").classList.toggle("hot", /the wall buzzes|^Not/.test($("told").textContent));
 }
 // Changes a live region at most once a second, because a screen reader reads each change.
 const toldAt = {};
@@ -100,11 +103,10 @@ function frame(w, h) {
   const box = view.box || [Infinity, Infinity, -Infinity, -Infinity];
   for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
   view.box = box;
-  let centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  const centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
   // Room for the slow motion, and for the legend above the picture.
   const size = parseFloat(getComputedStyle(document.body).fontSize) * .8, slowly = slowRoom(w, size), [top, high] = slowly.below && !paper ? [3 * size, h - slowly.high] : [0, h];
-  let scale = Math.min(w / (box[2] - box[0] + 0.09), (high - top) / (box[3] - box[1] + 0.08));
-  if (view.close) { view.closeAt = view.closeAt || [...g.tip]; centre = view.closeAt; scale = Math.min(w, h) / 0.05; }
+  const scale = Math.min(w / (box[2] - box[0] + 0.09), (high - top) / (box[3] - box[1] + 0.08));
   view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => (top + high) / 2 - (y - centre[1]) * scale,
     from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - (top + high) / 2) / scale] };
   return view.frame;
@@ -118,7 +120,7 @@ function arrow(c, x, y, dx, dy) {
 }
 function spring(c, x0, y0, x1, y1) {
   const length = Math.hypot(x1 - x0, y1 - y0); if (length < 2) return;
-  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length], turns = 7;
+  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length], turns = Math.max(3, Math.min(7, Math.round(length / 8)));
   c.beginPath(); c.moveTo(x0, y0);
   for (let i = 1; i < 2 * turns; i++) { const s = i / (2 * turns) * length, side = (i % 2 ? 5 : -5); c.lineTo(x0 + ux * s - uy * side, y0 + uy * s + ux * side); }
   c.lineTo(x1, y1); c.stroke();
@@ -188,7 +190,7 @@ function drawStage() {
   const ellipse = expert && g.ellipse && view.hello.flat;
   if (ellipse) {
     // A kilogram is drawn as 12 cm.
-    const grow = 0.12 * (view.close ? .1 : 1) * f.scale;
+    const grow = 0.12 * f.scale;
     c.strokeStyle = palette.ink; c.lineWidth = 1.5; c.setLineDash([5, 3]); c.beginPath();
     c.ellipse(f.toX(g.tip[0]), f.toY(g.tip[1]), g.ellipse.axes[0] * grow, Math.max(0, g.ellipse.axes[1]) * grow, -g.ellipse.angle, 0, 2 * Math.PI); c.stroke(); c.setLineDash([]);
   }
@@ -214,9 +216,9 @@ function drawStage() {
   arrow(c, x, y, g.force[0] * newton, -g.force[1] * newton);
   drawSlow(c, w, h, size, f, g);
   // Scale and legend.
-  const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
+  const length = .05 * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
-  c.fillText(bar * 1000 + " mm", 12, h - 18);
+  c.fillText("50 mm", 12, h - 18);
   let top = 16;
   const legend = [["force", "force of the motors"], ["link", view.fast ? "motion of the tip, ×100" : ""], ["hand", hand ? "hand, " + unit(Math.hypot(...hand.force), "N") : ""], ["ink", ellipse ? "effective inertia" : ""],
     ["spring", view.springs.length ? "spring, " + view.springs.map(s => unit(s.stiffness, "N/m")).join(", ") : ""], ["dim", view.field > 0 ? "damping everywhere, " + unit(view.field, "N s/m") : ""]].filter(([, words]) => words);
@@ -236,9 +238,9 @@ $("stage").onpointerdown = event => {
   const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
   $("stage").setPointerCapture(event.pointerId);
   grabbed = { hand: true };
-  // The tip takes precedence over walls under it.
+  // Only a handle that is drawn moves its wall, and the tip takes precedence over it.
   const { tip } = view.last.geometry;
-  if (!(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
+  if (document.body.classList.contains("more") && !(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
     const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
     if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
     else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
@@ -269,8 +271,7 @@ $("stage").onkeydown = event => {
 $("start-over").onclick = $("anew").onclick = () => {
   up(); notice(""); $("beyond").checked = touched = stopped = false; switched = null; armAfter = 0;
   if (view.hello.rate_hz !== view.firstRate) say({ do: "rate", hz: view.firstRate });
-  say({ do: "start-over" }); resetComparison(); if (view.close) $("close").onclick();
+  say({ do: "start-over" }); resetComparison();
 };
 $("let-go").onclick = () => say({ do: "hand", at: null });
-$("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
 

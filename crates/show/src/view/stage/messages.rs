@@ -2,11 +2,12 @@
 
 use super::recording::{ActiveRecording, RecordingStatus};
 use super::{MAX_JOINT_ROTATION, Stage};
+use crate::demo::crossing::hand_settings;
 use crate::outline::{outline, outline_on_arc};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
 use crate::view::stability::{Plane, PredictionRequest, predict_buzz};
-use crate::view::world::{World, hand_settings};
+use crate::view::world::World;
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::fault::FaultRecord;
