@@ -54,4 +54,5 @@ fn the_counted_devices_are_the_shipped_devices() {
             numbers(&shipped)
         );
     }
+    assert_eq!(devices::PADDLES_3.joints, [devices::PADDLES_2.joints[0]; 3]);
 }

@@ -225,5 +225,5 @@ pub const CHAIN_3: Description = Description {
         placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.134, Z),
     ],
     handle_mass: 0.0,
-    home: Some([0.0, 1.1, -1.5]),
+    home: Some([0.0, 0.23, -2.15]),
 };
