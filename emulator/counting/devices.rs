@@ -185,7 +185,7 @@ pub const CHAIN_1: Description = Description {
         NO_JOINT,
     ],
     handle_mass: 0.0,
-    home: Some([0.0; MAX_JOINTS]),
+    home: Some([0.05, 0.0, 0.0]),
 };
 
 /// The device of `devices/planar-arm.toml`.
