@@ -20,8 +20,16 @@ struct Gantry<T> {
 }
 
 impl<T: Real> Mechanism<T, 2> for Gantry<T> {
-    const SPEC: Spec =
-        Spec { name: "gantry", label: "gantry", joints: 2, task: 2, links: &[], geometry: &[("lead", 2)], are_links_optional: false, gravity: 2 };
+    const SPEC: Spec = Spec {
+        name: "gantry",
+        label: "gantry",
+        joints: 2,
+        task: 2,
+        links: &[],
+        geometry: &[("lead", 2)],
+        are_links_optional: false,
+        gravity: 2,
+    };
     type Pose = [T; 2];
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {

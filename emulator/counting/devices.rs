@@ -179,11 +179,7 @@ pub const CHAIN_1: Description = Description {
     gravity: [0.0; 3],
     geometry: [0.0; 8],
     links: [chain_link(0.02, 0.0, [1.0e-6; 3]), NO_LINK, NO_LINK, NO_LINK],
-    joints: [
-        Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) },
-        NO_JOINT,
-        NO_JOINT,
-    ],
+    joints: [Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) }, NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
     home: Some([0.05, 0.0, 0.0]),
 };
@@ -224,6 +220,6 @@ pub const CHAIN_3: Description = Description {
         placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.0, Z),
         placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.134, Z),
     ],
-    handle_mass: 0.0,
+    handle_mass: 0.015,
     home: Some([0.0, 0.23, -2.15]),
 };

@@ -72,6 +72,9 @@ impl DeviceFile {
             }
             match joint.motor {
                 None => missing.push(format!("{place} needs [joint.motor]")),
+                Some(_) if joint.prismatic => {
+                    missing.push(format!("{place} slides: real boards limit angles only, simulated boards take it"));
+                }
                 Some(motor) if !motor.verified => {
                     missing.push(format!("check the motor data of {place}, then write verified = true"));
                 }

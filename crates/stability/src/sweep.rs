@@ -249,9 +249,11 @@ impl Sweep {
         // Rejects types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
-            return Err(Failure::impossible(format!("a result of stage \"{stage}\" does not read back as it was stored"))
-                .remedy("do not store results, and report this error")
-                .choose(Choice::ResultsFile));
+            return Err(Failure::impossible(format!(
+                "a result of stage \"{stage}\" does not read back as it was stored"
+            ))
+            .remedy("do not store results, and report this error")
+            .choose(Choice::ResultsFile));
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut state = self.lock();

@@ -171,9 +171,7 @@ impl<T: Real> ChainJoint<T> {
     #[inline(always)]
     fn motion<K: Math<T>>(&self, angle: Angle<T>) -> Motion<T> {
         let q = angle.radians;
-        let turned = |binary: BinaryAngle| {
-            BinaryAngle((binary.0 & self.angle_mask).wrapping_add(self.binary_offset))
-        };
+        let turned = |binary: BinaryAngle| BinaryAngle((binary.0 & self.angle_mask).wrapping_add(self.binary_offset));
         let radians = q * self.turns + self.offset;
         let (sine, cosine) = K::sin_cos_of(Angle { radians, binary: angle.binary.map(turned) });
         Motion { q, lift: q * self.slides, cosine, sine }
@@ -601,7 +599,8 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         let second = joints[1].turned_back(&first, &pose.motions[1]);
         if N == 2 {
             torque[N - 1] = joints[1].weight(&last_moment, &second);
-            torque[0] = joints[0].weight(&joints[0].moment_with(&joints[1], &pose.motions[N - 1], &last_moment), &first);
+            torque[0] =
+                joints[0].weight(&joints[0].moment_with(&joints[1], &pose.motions[N - 1], &last_moment), &first);
             return torque;
         }
         let third = joints[2].turned_back(&second, &pose.motions[N - 1]);

@@ -166,4 +166,5 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Paddles<T, N> {
     }
     fn repeats(&self, _: usize) -> bool {
         false
-    }}
+    }
+}

@@ -94,9 +94,11 @@ fn longest_length(description: &Description) -> f64 {
     let of_chain = |at: [f64; 3]| Vector3::from(at).norm();
     let [x, y, z, ..] = description.geometry;
     match description.kind {
-        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => {
-            description.joints.iter().map(|joint| of_chain(joint.frame.origin)).fold(of_chain([x, y, z]).max(0.1), f64::max)
-        }
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => description
+            .joints
+            .iter()
+            .map(|joint| of_chain(joint.frame.origin))
+            .fold(of_chain([x, y, z]).max(0.1), f64::max),
         _ => named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max),
     }
 }

@@ -197,9 +197,7 @@ pub fn climb(
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
     // The coordinates of a joint that does not repeat, such as a paddle's, end where the grid ends.
-    let beyond = |(joint, angle): (usize, &f64)| {
-        !device.mechanism.repeats(joint) && angle.abs() > std::f64::consts::PI
-    };
+    let beyond = |(joint, angle): (usize, &f64)| !device.mechanism.repeats(joint) && angle.abs() > std::f64::consts::PI;
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
         if q.iter().enumerate().any(beyond) {
             return Ok(None);

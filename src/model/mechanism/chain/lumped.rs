@@ -111,7 +111,13 @@ fn bodies<const N: usize>(
         let normal = next.filter(|normal| normal.dot(normal) > PARALLEL_SINE * PARALLEL_SINE);
         let chosen = normal.or(x.filter(|x| x.dot(&axis).abs() < PARALLEL_SINE)).unwrap_or_else(|| {
             let [x, y, z] = [axis[0].abs(), axis[1].abs(), axis[2].abs()];
-            let far = if x <= y && x <= z { Vector3::x() } else if y <= z { Vector3::y() } else { Vector3::z() };
+            let far = if x <= y && x <= z {
+                Vector3::x()
+            } else if y <= z {
+                Vector3::y()
+            } else {
+                Vector3::z()
+            };
             axis.cross(&far)
         });
         let chosen = unit_vector(&chosen).unwrap_or_default();
@@ -182,10 +188,7 @@ fn largest_determinant<const N: usize>(
 }
 
 /// Returns the coefficients of M from its samples, which determine a polynomial of the second degree exactly.
-fn mass_series<const N: usize>(
-    chain: &Chain<f64, N>,
-    bodies: &[Body; N],
-) -> Result<MassSeries<f64>, DescriptionError> {
+fn mass_series<const N: usize>(chain: &Chain<f64, N>, bodies: &[Body; N]) -> Result<MassSeries<f64>, DescriptionError> {
     // Joint N - back, whose polynomial is a constant if the chain has no joint before it.
     let samples_of = |back: usize| match N.checked_sub(back).filter(|i| *i > 0) {
         Some(i) => samples(&chain.joints[i]),
@@ -240,7 +243,8 @@ fn samples(joint: &ChainJoint<f64>) -> [(f64, [f64; 5]); 5] {
         let (sine, cosine) = libm::sincos(angle);
         let (sine_of_twice, cosine_of_twice) = libm::sincos(2.0 * angle);
         // cos 2q = 2 u² - 1 and sin 2q = 2 u v.
-        let weights = [0.2 - 0.4 * cosine_of_twice, 0.4 * cosine, 0.4 * sine, 0.8 * cosine_of_twice, 0.8 * sine_of_twice];
+        let weights =
+            [0.2 - 0.4 * cosine_of_twice, 0.4 * cosine, 0.4 * sine, 0.8 * cosine_of_twice, 0.8 * sine_of_twice];
         (angle - joint.offset, weights)
     })
 }
