@@ -36,6 +36,7 @@ macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         /// Controller of the loaded mechanism, in the board's precision.
         #[derive(Clone, Debug)]
+        #[allow(clippy::large_enum_variant, reason = "a program is stored in place, with room for the largest")]
         pub enum AnyController<K> {
             $(
                 #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::model::mechanism::", stringify!($Variant), ").")]

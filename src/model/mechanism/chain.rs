@@ -296,14 +296,14 @@ impl<T: Real, const N: usize> Chain<T, N> {
 
     /// Returns a vector in the frame of the first link along the task's coordinates.
     #[inline(always)]
-    fn to_task(&self, first: &Motion<T>, v: &Vector3<T>) -> SVector<T, N> {
+    fn in_task(&self, first: &Motion<T>, v: &Vector3<T>) -> SVector<T, N> {
         let turned = first.turned(v);
         SVector::from_fn(|row, _| Vector3::from(self.task[row]).dot(&turned))
     }
 
     /// Returns a vector of the task in the frame of the first link.
     #[inline(always)]
-    fn to_first_link(&self, first: &Motion<T>, v: &SVector<T, N>) -> Vector3<T> {
+    fn in_first_link(&self, first: &Motion<T>, v: &SVector<T, N>) -> Vector3<T> {
         let mut sum = Vector3::from(self.task[0]) * v[0];
         if N >= 2 {
             sum += Vector3::from(self.task[1]) * v[1];
@@ -319,7 +319,7 @@ impl<T: Real, const N: usize> Chain<T, N> {
     fn jacobian_of(&self, first: &Motion<T>, levers: &[Vector3<T>; N]) -> SMatrix<T, N, N> {
         let mut jacobian = SMatrix::<T, N, N>::zeros();
         for (column, lever) in levers.iter().enumerate() {
-            jacobian.set_column(column, &self.to_task(first, lever));
+            jacobian.set_column(column, &self.in_task(first, lever));
         }
         if let (1, Some(radius)) = (N, self.arc) {
             jacobian[(0, 0)] = radius;
@@ -456,7 +456,7 @@ impl<T: Real, const N: usize> Chain<T, N> {
         if N == 3 {
             return self.joint_velocities(pose, &acceleration);
         }
-        self.inverse(pose, &self.to_task(&pose.motions[0], &acceleration))
+        self.inverse(pose, &self.in_task(&pose.motions[0], &acceleration))
     }
 }
 
@@ -512,7 +512,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         }
         levers[0] = joints[0].lever(&tip);
         tip[2] += motions[0].lift;
-        let mut place = self.to_task(&motions[0], &tip);
+        let mut place = self.in_task(&motions[0], &tip);
         for (row, entry) in place.iter_mut().enumerate() {
             *entry += self.origin[row];
         }
@@ -569,7 +569,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
                     column += axis(first).cross(&pose.levers[i.max(j)]) * qd[i];
                 }
             }
-            rate.set_column(j, &self.to_task(&pose.motions[0], &column));
+            rate.set_column(j, &self.in_task(&pose.motions[0], &column));
         }
         rate
     }
@@ -617,7 +617,7 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         if N < 3 {
             return self.jacobian(pose).tr_mul(force);
         }
-        let spatial = self.to_first_link(&pose.motions[0], force);
+        let spatial = self.in_first_link(&pose.motions[0], force);
         SVector::from_fn(|i, _| pose.levers[i].dot(&spatial))
     }
 
@@ -627,13 +627,13 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
             return self.jacobian(pose) * qd;
         }
         let spatial = pose.levers[0] * qd[0] + pose.levers[N - 2] * qd[N - 2] + pose.levers[N - 1] * qd[N - 1];
-        self.to_task(&pose.motions[0], &spatial)
+        self.in_task(&pose.motions[0], &spatial)
     }
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         if N == 3 {
-            return self.joint_velocities(pose, &self.to_first_link(&pose.motions[0], velocity));
+            return self.joint_velocities(pose, &self.in_first_link(&pose.motions[0], velocity));
         }
         if N == 1 {
             return velocity * pose.inverse_determinant;

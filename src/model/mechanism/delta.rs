@@ -130,7 +130,7 @@ impl<T: Real> Delta<T> {
 
     /// Returns the vector with these components along rᵢ and ẑ.
     #[inline(always)]
-    fn from_leg(&self, i: usize, v: &Vector2<T>) -> Vector3<T> {
+    fn leg_in_base(&self, i: usize, v: &Vector2<T>) -> Vector3<T> {
         let [x, y] = self.azimuths[i];
         Vector3::new(x * v[0], y * v[0], v[1])
     }
@@ -155,7 +155,7 @@ impl<T: Real> Delta<T> {
             let (s, c) = K::sin_cos_of(angle);
             Vector2::new(self.upper * c, self.upper * s)
         });
-        let elbow = |i: usize| self.from_leg(i, &Vector2::new(self.offset + arm[i][0], arm[i][1]));
+        let elbow = |i: usize| self.leg_in_base(i, &Vector2::new(self.offset + arm[i][0], arm[i][1]));
         let c0 = elbow(0);
         let (side1, side2) = (elbow(1) - c0, elbow(2) - c0);
         let normal = side1.cross(&side2);
@@ -209,7 +209,7 @@ impl<T: Real> Delta<T> {
     /// Returns uᵢ·aᵢ q̇ᵢ² + |u̇ᵢ|², m²/s².
     #[inline(always)]
     fn constrained(&self, pose: &Pose<T>, i: usize, qd: T, tip: &Vector3<T>) -> T {
-        let rate = tip - self.from_leg(i, &(rotated_left(&pose.arm[i]) * qd));
+        let rate = tip - self.leg_in_base(i, &(rotated_left(&pose.arm[i]) * qd));
         pose.arm[i].dot(&self.in_leg(i, &pose.rod[i])) * (qd * qd) + rate.dot(&rate)
     }
 
@@ -219,7 +219,7 @@ impl<T: Real> Delta<T> {
         let mut sum = Vector3::zeros();
         for i in 0..3 {
             let along = rotated_left(&pose.arm[i]) * qdd[i];
-            sum += self.from_leg(i, &qd.map_or(along, |qd| along - pose.arm[i] * (qd[i] * qd[i])));
+            sum += self.leg_in_base(i, &qd.map_or(along, |qd| along - pose.arm[i] * (qd[i] * qd[i])));
         }
         sum * self.rod_coupling
     }
@@ -351,7 +351,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         let tip = jacobian * qd;
         let mut right = Matrix3::zeros();
         for i in 0..3 {
-            let lever = self.from_leg(i, &rotated_left(&pose.arm[i]));
+            let lever = self.leg_in_base(i, &rotated_left(&pose.arm[i]));
             let rate = tip - lever * qd[i];
             right.set_row(i, &-jacobian.tr_mul(&rate).transpose());
             right[(i, i)] += rate.dot(&lever) - pose.arm[i].dot(&self.in_leg(i, &pose.rod[i])) * qd[i];
@@ -362,7 +362,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
         // M = diag(A) + Jᵀ(Γ J + L) + Lᵀ J with the columns β lᵢ of L.
         let j = self.jacobian(pose);
-        let lever = |i: usize| self.from_leg(i, &(rotated_left(&pose.arm[i]) * self.rod_coupling));
+        let lever = |i: usize| self.leg_in_base(i, &(rotated_left(&pose.arm[i]) * self.rod_coupling));
         let levers = Matrix3::from_columns(&[lever(0), lever(1), lever(2)]);
         let half = j * (self.tip_mass * T::from_f64(0.5)) + levers;
         let mixed = j.tr_mul(&half);
@@ -451,7 +451,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
         let mut inertia = Matrix3::from_diagonal_element(self.tip_mass);
         for i in 0..3 {
             let b = pose.rod[i] * pose.inverse_k[i];
-            let l = self.from_leg(i, &(rotated_left(&pose.arm[i]) * self.rod_coupling));
+            let l = self.leg_in_base(i, &(rotated_left(&pose.arm[i]) * self.rod_coupling));
             inertia += b * b.transpose() * self.arm_inertia[i] + b * l.transpose() + l * b.transpose();
         }
         inertia
