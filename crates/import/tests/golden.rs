@@ -8,6 +8,9 @@ use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Translation3, Unit, UnitQua
 use serde_json::Value as Json;
 use toml::{Table, Value};
 
+/// True for a prismatic joint, the joint's direction and its place, m.
+type Axis = (bool, Vector3<f64>, Vector3<f64>);
+
 const TOLERANCE: f64 = 1e-9;
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -33,7 +36,7 @@ fn motion(file: &Table, q: &[f64], qd: &[f64]) -> Motion {
     let (links, joints) = (file["link"].as_array().unwrap(), file["joint"].as_array().unwrap());
     let n = joints.len();
     let gravity = vector(&file["gravity"]);
-    let (mut frame, mut axes): (_, Vec<(bool, Vector3<f64>, Vector3<f64>)>) = (Isometry3::identity(), Vec::new());
+    let (mut frame, mut axes) = (Isometry3::identity(), Vec::<Axis>::new());
     let (mut w, mut dw, mut a) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut mass, mut bias) = (DMatrix::zeros(n, n), DVector::zeros(n));
     let columns = |axes: &[(bool, Vector3<f64>, Vector3<f64>)], point: &Vector3<f64>| {
