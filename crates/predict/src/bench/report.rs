@@ -103,8 +103,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
             let way = TorqueVariant { terms, trigonometry, law };
             let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
             let variant = |target, instructions, nanoseconds| Variant {
-                name: format!("{}/{name}/exact/{}", spec.name, terms.name()),
-                mechanism: spec.name,
+                name: format!("{}/{name}/exact/{}", spec.label, terms.name()),
+                mechanism: spec.label,
                 target,
                 instructions,
                 nanoseconds,
@@ -115,7 +115,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 parts,
                 pareto: false,
             };
-            let count = counts::instructions(spec.name, name, terms.name());
+            let count = counts::instructions(spec.label, name, terms.name());
             results.push(variant("cortex-m4f", count, None));
             if timed {
                 results.push(variant("host", None, Some(torque_time_ns(device, &probes, &way))));
@@ -202,7 +202,7 @@ pub fn mechanism_table(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, 
         let (probes, spec) = (probes(device), device.mechanism.kind().spec());
         let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading_shares(device, &probes));
         let mut cells = vec![
-            spec.name.to_owned(),
+            spec.label.to_owned(),
             device.name.to_string(),
             format!("{:.1}", 1.0e6 * step),
             format!("{:.1e}", TIP_ERROR_STIFFNESS * step),
@@ -210,7 +210,7 @@ pub fn mechanism_table(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, 
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
             let terms = format!("feed-forward, {estimator}");
-            format_count(counts::instructions(spec.name, BoardMath::NAME, &terms))
+            format_count(counts::instructions(spec.label, BoardMath::NAME, &terms))
         }));
         text += &csv_line(cells);
     }

@@ -12,9 +12,9 @@ const COLUMNS: usize = 3;
 const GAP: (f64, f64) = (62.0, 84.0);
 const SIZE: (f64, f64) = (230.0, 150.0);
 const TOP: f64 = 96.0;
-/// Errors and instructions that the axes show.
+/// Errors that the axes show, and the step to which their largest number of instructions is rounded up.
 const ERRORS_N: (f64, f64) = (1e-5, 1e3);
-const INSTRUCTIONS: f64 = 800.0;
+const INSTRUCTIONS_STEP: f64 = 400.0;
 
 /// Draws instructions over the error of the force at the tip: one panel for each mechanism, with its Pareto front as
 /// steps.
@@ -31,6 +31,8 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         (device.mechanism.kind().spec().label, front)
     });
     let fronts: Vec<_> = fronts.filter(|(_, front)| !front.is_empty()).collect();
+    let costs = fronts.iter().flat_map(|(_, front)| front).map(|(_, instructions, _)| *instructions);
+    let most = (costs.fold(0.0, f64::max) / INSTRUCTIONS_STEP).ceil() * INSTRUCTIONS_STEP;
     let rows = fronts.len().div_ceil(COLUMNS) as f64;
     let mut canvas = Canvas::new(24.0 + COLUMNS as f64 * (SIZE.0 + GAP.0), TOP + rows * (SIZE.1 + GAP.1) - 20.0);
     let title = "Speed against error: the ways to compute the control step that no other way beats";
@@ -43,7 +45,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             at: (GAP.0 + column * (SIZE.0 + GAP.0), TOP + row * (SIZE.1 + GAP.1)),
             size: SIZE,
             x: Axis::logarithmic("error", "N", ERRORS_N.0, ERRORS_N.1),
-            y: Axis::new("instructions", "", 0.0, INSTRUCTIONS),
+            y: Axis::new("instructions", "", 0.0, most),
         };
         // Nothing on the front is cheaper at less error: steps, not slopes.
         let mut steps = Vec::new();
