@@ -19,8 +19,8 @@ const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
 /// Addresses of the settings, sectors 1 and 2.
 const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// Maximum size of an image in flash, bytes: less than half of the chip's flash.
-pub const FLASH_LIMIT: u64 = 384 * 1024;
+/// Maximum size of an image in flash, bytes: half of the chip's flash.
+pub const FLASH_LIMIT: u64 = 512 * 1024;
 /// Maximum size of statics and reserved stack together, bytes: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
 

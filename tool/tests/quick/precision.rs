@@ -15,5 +15,6 @@ fn a_rounded_device_equals_one_made_in_single_precision() {
         assert_ne!(single.cast::<f64>(), wide, "{}: rounding changes nothing, so the test has no effect", file.name);
         kinds.push(wide.mechanism.kind());
     }
-    assert!(Kind::ALL.iter().all(|kind| kinds.contains(kind)), "{kinds:?}");
+    let names: Vec<&str> = kinds.iter().map(|kind| kind.spec().name).collect();
+    assert!(Kind::ALL.iter().all(|kind| names.contains(&kind.spec().name)), "{names:?}");
 }
