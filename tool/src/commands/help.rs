@@ -85,7 +85,6 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         "new" => &[
             "haptic new five-bar -o mine.toml",
             "haptic new scene --device mine.toml -o wall.toml",
-            "haptic new --from arm.urdf --joints waist,shoulder,elbow -o arm.toml",
         ],
         "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
