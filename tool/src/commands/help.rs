@@ -82,10 +82,7 @@ const FIRST_COMMANDS: &str = "Start here, without hardware:
 /// part of the project, and run the examples that need no board and little time.
 pub fn examples(words: &str) -> &'static [&'static str] {
     match words {
-        "new" => &[
-            "haptic new five-bar -o mine.toml",
-            "haptic new scene --device mine.toml -o wall.toml",
-        ],
+        "new" => &["haptic new five-bar -o mine.toml", "haptic new scene --device mine.toml -o wall.toml"],
         "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
         "map" => &["haptic map devices/coupled-five-bar.toml --normal 0,1 --png map.png"],
