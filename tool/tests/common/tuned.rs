@@ -12,7 +12,7 @@ pub fn random_device(number: u64) -> DeviceFile {
     let kinds = ["hapkit-paddle", "coupled-five-bar", "haply-2diy", "capstan-pantograph", "phantom-premium-1.5"];
     let mut file = shipped_device(kinds[number as usize % kinds.len()]);
     let mut about = |low: f64, high: f64| low * (high / low).powf(random.between(0.0, 1.0));
-    let (joints, paddle) = (file.spec().joints, file.spec().links.is_empty());
+    let (joints, paddle) = (file.spec().joints, file.spec().are_links_optional);
     for link in &mut file.description.links {
         let factor = about(0.7, 1.5);
         (link.mass, link.inertia) = (factor * link.mass, factor * link.inertia);
