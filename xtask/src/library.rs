@@ -9,8 +9,8 @@ use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
 /// The crates that the tool uses. Each crate depends only on earlier crates of this list.
-pub const CRATES: [&str; 6] =
-    ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
+pub const CRATES: [&str; 7] =
+    ["haptic-host", "haptic-flash", "haptic-import", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
 /// Dependencies that only the tool needs.
 const TOOL_CRATES: &[&str] =
