@@ -26,12 +26,8 @@ const SLIDE_END: f64 = 2.4;
 /// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
-/// Time at which `view::world::press_while_switching` begins: the hand rests and the wall buzzes, s after arming.
-pub(crate) const SWITCHED_FROM: f64 = 2.5;
 /// Durations without, with and without the feed-forward in `view::world::press_while_switching`, s.
 pub const PHASES: [f64; 3] = [0.25, 0.35, 0.6];
-/// Depth of the hand below the wall's surface in `view::world::press_while_switching`, m.
-pub(crate) const RESTING_DEPTH: f64 = 0.045;
 
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]

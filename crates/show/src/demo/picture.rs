@@ -32,7 +32,8 @@ const COLOURS: [&str; 3] = [OFF_COLOUR, WASHOUT_COLOUR, OFF_COLOUR];
 const STYLE: &str = "<style>.moving{display:none}@media (prefers-reduced-motion:no-preference)\
     {.still{display:none}.moving{display:inline}}</style>";
 
-/// Draws the `moments` of [`press_while_switching`](crate::view::world::press_while_switching), with the comparison of two crossings in words.
+/// Draws the `moments` of [`press_while_switching`](crate::view::world::press_while_switching), with the comparison of two
+/// crossings in words.
 pub fn draw(demo: &Demo, moments: &[Moment], without: &Crossing, with: &Crossing) -> Picture {
     let begin = moments.first().map_or(0.0, |moment| moment.time);
     let mut until = 0.0;

@@ -128,7 +128,7 @@ impl PlotArea {
         let (width, height) = self.size;
         let bottom = top + height;
         let ticks = self.x.ticks(width / 75.0);
-        // In a narrow frame only every second or third tick has its text, and zero has.
+        // A narrow frame labels only every second or third tick, counted so that zero keeps its label.
         let longest = ticks.iter().map(|(_, text)| text.len()).max().unwrap_or(0);
         let shares: Vec<f64> = ticks.iter().map(|(value, _)| self.x.share(*value)).collect();
         let gap = shares.windows(2).map(|pair| width * (pair[1] - pair[0])).fold(width, f64::min);

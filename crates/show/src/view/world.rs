@@ -1,7 +1,7 @@
 //! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
-use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, RESTING_DEPTH, SWITCHED_FROM, hand_settings, press};
+use crate::demo::crossing::{DEPTH_TIME, Moment, PHASES, hand_settings, press};
 use haptic_bridge::model::shipped::*;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::refusal::Refusal;
@@ -18,6 +18,10 @@ const WALL_DISTANCE: f64 = 0.010;
 const FRICTION_FACTOR: f64 = 0.1;
 /// Number of encoder counts in the demo, relative to the device file.
 const ENCODER_FACTOR: f64 = 5.0;
+/// Time at which [`press_while_switching`] begins: the hand rests and the wall buzzes, s after arming.
+const SWITCHED_FROM: f64 = 2.5;
+/// Depth of the hand below the wall's surface in [`press_while_switching`], m.
+const RESTING_DEPTH: f64 = 0.045;
 
 /// A shipped device in front of the walls of a scene.
 #[derive(Clone, Copy, Debug)]

@@ -104,7 +104,7 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
     assert_eq!(points.len(), 4);
     for point in points {
         assert_eq!((point["repeats"].as_array().unwrap().len(), point["pulls"].as_array().unwrap().len()), (6, 2));
-        // The smallest of two pulls at the coarsest damping is 3.4 % below theory.
+        // At the largest damping, the lower of the two pulls' results is 3.4 % below theory.
         let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
         assert!((0.96..1.05).contains(&share), "{point}");
     }
