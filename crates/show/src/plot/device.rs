@@ -68,19 +68,18 @@ pub fn draw(
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     // Links that are alike have one name.
     let is_first = |i: usize| skeleton.bars[..i].iter().all(|bar| bar.name != skeleton.bars[i].name);
-    let names: Vec<String> = match page.is_narrow() {
-        // Short links have no room for their names.
-        true => Vec::new(),
-        false => skeleton
-            .bars
-            .iter()
-            .enumerate()
-            .map(|(i, bar)| if is_first(i) { in_full(bar) } else { String::new() })
-            .collect(),
+    // A link that is drawn short has no room for its name; the notes name it.
+    let has_room = |bar: &Bar| {
+        let (across, up) = (bar.to.0 - bar.from.0, bar.to.1 - bar.from.1);
+        !page.is_narrow() && across.hypot(up) * pixels > 40.0
     };
-    if page.is_narrow() {
-        let first = skeleton.bars.iter().enumerate().filter(|(i, _)| is_first(*i));
-        notes.insert(0, first.map(|(_, bar)| in_full(bar)).collect::<Vec<_>>().join("; "));
+    let named = |i: usize, with_room: bool| is_first(i) && has_room(&skeleton.bars[i]) == with_room;
+    let bars = skeleton.bars.iter().enumerate();
+    let names: Vec<String> =
+        bars.clone().map(|(i, bar)| if named(i, true) { in_full(bar) } else { String::new() }).collect();
+    let short: Vec<String> = bars.filter(|&(i, _)| named(i, false)).map(|(_, bar)| in_full(bar)).collect();
+    if !short.is_empty() {
+        notes.insert(0, short.join("; "));
     }
     let bottom = frame.at.1 + frame.size.1 + if paper.is_printed() { 46.0 } else { 68.0 };
     let notes = page.notes(notes.iter().map(String::as_str));
@@ -189,6 +188,9 @@ fn draw_links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names:
         let (from, to) = (frame.pixel(bar.from.0, bar.from.1), frame.pixel(bar.to.0, bar.to.1));
         for end in [from, to] {
             canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
+        }
+        if text.is_empty() {
+            continue;
         }
         // Writes the name along the link, on the side away from the other links.
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
