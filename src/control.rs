@@ -38,8 +38,8 @@ use crate::control::frame::{Now, Outputs, Samples, StepRecord};
 use crate::control::joints::{Counts, Currents, Torques};
 use crate::control::program::Hardware;
 use crate::control::program::Program;
-use crate::drive::brushed::Axis;
 use crate::drive::heat::Heat;
+use crate::drive::motor_stage::MotorStage;
 use crate::drive::stage::{Stage, Supply};
 use crate::math::{Math, clamp};
 use crate::model::catalogue::MAX_JOINTS;
@@ -60,14 +60,15 @@ pub const ARM_SECONDS: f32 = 0.5;
 /// The board's control loop. The field order keeps all data of a crest within the 1 KB that FPU loads can reach.
 #[derive(Debug)]
 #[repr(C)]
-pub struct ControlLoop<P, S = Axis> {
+pub struct ControlLoop<P, S = MotorStage> {
     state: State,
     homed: bool,
     polarity_known: bool,
     /// Number of joints of the loaded device.
     joint_count: u8,
     compensates_weight: bool,
-    /// `joint_count` while a crest takes a single pass: the motors are on and every joint has a range. Otherwise 0.
+    /// `joint_count` while a crest takes a single pass: the motors are on, brushed, and every joint has a range. Otherwise
+    /// 0.
     one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
@@ -372,7 +373,8 @@ where
     }
 
     fn update_fast_path(&mut self) {
-        let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
+        let mut joints = self.joints.iter().take(self.count());
+        let limited = joints.all(|joint| joint.is_limited() && !joint.stage.is_three_phase());
         self.one_pass_joints = if self.state.drives() && limited { self.joint_count } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
         self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();

@@ -64,8 +64,10 @@ pub mod render {
 pub mod drive {
     pub(crate) mod bits;
     pub mod brushed;
+    pub mod brushless;
     pub mod carrier;
     pub mod heat;
+    pub mod motor_stage;
     pub mod stage;
 }
 

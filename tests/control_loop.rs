@@ -4,7 +4,7 @@ use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, limits, paddle, rules, 
 use core::f64::consts::TAU;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
-use haptic_bridge::drive::stage::Duty;
+use haptic_bridge::drive::motor_stage::MotorDrive;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Washout;
@@ -381,7 +381,7 @@ fn disarming_acts_before_the_next_duty() {
     let mut rig = Rig::pressed_paddle(250.0);
     assert!(rig.duties[0] != 0.0);
     rig.execute(Command::Disarm).unwrap();
-    assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
+    assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [MotorDrive::default(); 3]);
     rig.step();
     assert!(rig.motors_are_off());
     assert_eq!(rig.state(), State::Disarmed);
@@ -391,7 +391,7 @@ fn disarming_acts_before_the_next_duty() {
 fn a_reported_fault_acts_before_the_next_duty() {
     let mut rig = Rig::pressed_paddle(250.0);
     rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
-    assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
+    assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [MotorDrive::default(); 3]);
     assert_eq!(rig.state(), State::Fault);
 }
 

@@ -6,7 +6,8 @@ use crate::rig::{
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::control::{Command, Rules};
-use haptic_bridge::drive::stage::{Duty, MAX_DUTY};
+use haptic_bridge::drive::motor_stage::MotorDrive;
+use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::mechanism::AnyMechanism;
@@ -52,7 +53,7 @@ fn an_over_current_is_found_at_the_next_crest_at_every_rate() {
         let mut rig = armed_paddle_at(rate);
         assert_eq!(crests_until_off(&mut rig, 0.0, 10, [6.0, 0.0, 0.0]), Some(1), "{rate} Hz");
         assert_eq!(rig.fault(), Some(Fault::OverCurrent));
-        assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
+        assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [MotorDrive::default(); 3]);
     }
 }
 

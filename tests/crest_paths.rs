@@ -13,7 +13,7 @@ use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS};
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -70,6 +70,7 @@ fn the_fast_current_loop_equals_the_general_one() {
             inductance: random.choose(&[0.0, 1.0e-5, 2.0e-4, 1.0e-3, 5.0e-3]),
             back_emf: random.uniform(-0.1, 0.3),
             max_current: random.uniform(0.0, 20.0),
+            winding: Winding::Brushed,
             verified: true,
         };
         let bridge = Bridge {
@@ -77,6 +78,7 @@ fn the_fast_current_loop_equals_the_general_one() {
             dead_time: random.uniform(0.0, 500.0e-9),
             bandwidth_hz: random.uniform(100.0, 2_000.0),
             current_sensed: !random.one_chance_in(5.0),
+            legs: 2,
         };
         let mut axis = Axis::new(&motor, &bridge, random.uniform(0.0, 15.0));
         let mut current = 0.0;
@@ -181,11 +183,11 @@ impl BoardPair {
         }
         let ([one, other], [legs, other_legs]) = (&mut self.control_loops, &mut self.legs);
         let drives = if due {
-            compiled::crest(one, samples, &ticks, legs)
+            compiled::crest(one, &mut { *samples }, &ticks, legs)
         } else {
-            compiled::crest_of_any_kind(one, samples, due, &ticks, legs)
+            compiled::crest_of_any_kind(one, &mut { *samples }, due, &ticks, legs)
         };
-        let others = compiled::crest_of_any_kind(other, samples, due, &ticks, other_legs);
+        let others = compiled::crest_of_any_kind(other, &mut { *samples }, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
         // After a crest in one pass the valley records the samples.
         self.apply_to_both(|control_loop| compiled::note(control_loop, samples, None));

@@ -14,12 +14,13 @@ fn motor() -> Motor<f32> {
         inductance: 1.0e-3,
         back_emf: 0.05,
         max_current: 4.0,
+        winding: haptic_bridge::model::motor::Winding::Brushed,
         verified: true,
     }
 }
 
 fn bridge(current_sensed: bool) -> Bridge {
-    Bridge { carrier_hz: CARRIER_HZ, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
+    Bridge { carrier_hz: CARRIER_HZ, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed, legs: 2 }
 }
 
 /// A motor's winding at a constant speed (rad/s), driven by a bridge with a dead time (s). The current is computed
@@ -368,6 +369,7 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
                     inductance: c,
                     back_emf: a,
                     max_current: b,
+                    winding: haptic_bridge::model::motor::Winding::Brushed,
                     verified: true,
                 };
                 let mut axis = Axis::new(&motor, &bridge(true), c);

@@ -6,7 +6,7 @@
 //! with the worst coupling, without a hand. Motors, current sensors and the board's current loops are simulated.
 
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::output::csv_line;
@@ -41,6 +41,7 @@ const MOTOR: Motor<f64> = Motor {
     inductance: 1e-4,
     back_emf: 0.033,
     max_current: 12.0,
+    winding: Winding::Brushed,
     verified: true,
 };
 /// Torque at 12 A, N m.

@@ -17,7 +17,7 @@ use haptic_bridge::model::description::{
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::with_mechanism;
 use nalgebra::{Matrix3, SVector};
 use std::path::{Path, PathBuf};
@@ -517,16 +517,39 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
         true => ("force_constant", "force_constant = 5.0"),
         false => ("torque_constant", "torque_constant = 0.05"),
     };
-    table.refuse_unknown_keys(&[key, "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    let kinds = [("brushed", false), ("brushless", true)];
+    let is_brushless = table.keep(table.word("kind", &kinds), None).unwrap_or(false);
+    let of_all = ["kind", key, "resistance", "inductance", "back_emf", "max_current", "verified"];
+    let turns = if prismatic { "turns_per_metre" } else { "ratio" };
+    let of_brushless = ["pole_pairs", turns];
+    table.refuse_unknown_keys(&[&of_all[..], if is_brushless { &of_brushless } else { &[] }].concat());
     let torque_constant = table.required_number(key, Must::BePositive, example);
+    // The power of three phases is 3/2 of the product of the peaks of voltage and current.
+    let back_emf = if is_brushless { torque_constant / 1.5 } else { torque_constant };
     Motor {
+        winding: if is_brushless { three_phase(table, prismatic) } else { Winding::Brushed },
         torque_constant,
         resistance: table.required_number("resistance", Must::BePositive, "resistance = 2.0"),
         inductance: table.number_or("inductance", Must::NotBeNegative, 0.0),
-        back_emf: table.number_or("back_emf", Must::NotBeNegative, torque_constant),
+        back_emf: table.number_or("back_emf", Must::NotBeNegative, back_emf),
         max_current: table.required_number("max_current", Must::BePositive, "max_current = 3.0"),
         verified: table.flag_or("verified", false),
     }
+}
+
+/// Reads the poles of a brushless motor, and the turns of its shaft.
+fn three_phase(table: &Table<'_>, prismatic: bool) -> Winding<f64> {
+    let ratio = match prismatic {
+        true => TAU * table.required_number("turns_per_metre", Must::BePositive, "turns_per_metre = 25"),
+        false => table.number_or("ratio", Must::BePositive, 1.0),
+    };
+    let pole_pairs = table.required_number("pole_pairs", Must::BePositive, "pole_pairs = 7");
+    let is_count = pole_pairs.fract() == 0.0 && pole_pairs <= f64::from(u8::MAX);
+    let remedy = "write the number of magnets of the rotor, divided by two";
+    let reason = format!("pole_pairs is {pole_pairs}, not a whole number from 1 to {}", u8::MAX);
+    let checked = if is_count { Ok(()) } else { Err(table.error_at("pole_pairs", impossible(reason, remedy))) };
+    table.keep(checked, ());
+    Winding::ThreePhase { pole_pairs: pole_pairs as u8, ratio }
 }
 
 fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {

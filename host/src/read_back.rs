@@ -9,6 +9,7 @@ use crate::error::on_one_line;
 use core::f64::consts::TAU;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::model::motor::Winding;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Wall};
 use haptic_bridge::render::velocity::CutoffMeaning;
@@ -290,6 +291,14 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
     }
     if let Some(motor) = joint.motor {
         let mut into = table(entries, "[joint.motor]", index);
+        if let Winding::ThreePhase { pole_pairs, ratio } = motor.winding {
+            into.word("kind", "brushless");
+            into.number("pole_pairs", pole_pairs.into(), "");
+            match prismatic {
+                true => into.number("turns_per_metre", f64::from(ratio) / TAU, ""),
+                false => into.number("ratio", ratio.into(), ""),
+            }
+        }
         match prismatic {
             true => into.number("force_constant", motor.torque_constant.into(), "N/A"),
             false => into.number("torque_constant", motor.torque_constant.into(), "N m/A"),

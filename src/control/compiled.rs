@@ -16,8 +16,8 @@ use core::mem::MaybeUninit;
 pub type BoardMath = Tabulated;
 /// The board's handle to a program: a reference to its buffer, so that a program is handed over without a copy.
 pub type BoardProgram = &'static mut Program<BoardMath>;
-/// Compare values of each bridge's two legs.
-pub type Legs = [[u16; 2]; MAX_JOINTS];
+/// Compare values of each bridge's legs. A brushed motor is on the first two.
+pub type Legs = [[u16; 3]; MAX_JOINTS];
 /// The control loop of the board.
 pub type BoardControlLoop = ControlLoop<BoardProgram>;
 
@@ -28,11 +28,12 @@ pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
 }
 
 /// Finishes a crest with a control step after [`render`]: checks the limits, finishes the step and writes the compare
-/// values of every bridge's legs for the next carrier period. Returns true if the bridges may drive.
+/// values of every bridge's legs for the next carrier period. Returns true if the bridges may drive. Replaces the
+/// currents of three-phase motors in `seen` by their torque currents.
 ///
 /// `seen` holds a value for every sensor. A board that lacks a sensor fills in commanded values.
 #[inline(always)]
-pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+pub fn crest(control_loop: &mut BoardControlLoop, seen: &mut Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     match control_loop.one_pass_joints {
         2 => crest_of_two_joints(control_loop, seen, ticks, legs),
         3 => crest_of_three_joints(control_loop, seen, ticks, legs),
@@ -45,17 +46,17 @@ pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks,
 
 #[inline(never)]
 fn crest_of_one_joint(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<1, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+    control_loop.crest_of::<1, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
 }
 
 #[inline(never)]
 fn crest_of_two_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<2, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+    control_loop.crest_of::<2, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
 }
 
 #[inline(never)]
 fn crest_of_three_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+    control_loop.crest_of::<3, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
 }
 
 /// Runs any crest, with a control step if `due`, see [`crest`].
@@ -63,12 +64,13 @@ fn crest_of_three_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ti
 #[inline(never)]
 pub fn crest_of_any_kind(
     control_loop: &mut BoardControlLoop,
-    seen: &Samples,
+    seen: &mut Samples,
     due: bool,
     ticks: &Ticks,
     legs: &mut Legs,
 ) -> bool {
-    control_loop.crest_of_any_kind(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
+    control_loop.read_phases(seen);
+    control_loop.crest_of_any_kind(seen, &seen.currents, due, &|drive| ticks.legs(drive), legs)
 }
 
 /// Checks for slow faults at the valley, see [`ControlLoop::check_slow_faults`].

@@ -383,6 +383,16 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
+    /// Replaces the currents of three-phase motors by their torque currents, see [`Stage::read`]. Call once per crest
+    /// with the board's readings, before every other use of the samples.
+    #[inline(always)]
+    pub fn read_phases(&mut self, seen: &mut Samples) {
+        for (i, joint) in self.joints.iter_mut().enumerate().filter(|(_, joint)| joint.stage.is_three_phase()) {
+            (seen.currents[i], seen.imbalance[i]) =
+                joint.stage.read(seen.currents[i], seen.imbalance[i], seen.counts[i]);
+        }
+    }
+
     /// Checks the samples of a crest. While the motors are off, only encoders are checked, and only for jumps.
     pub(super) fn check_samples(&mut self, seen: &Samples) {
         if !core::mem::replace(&mut self.crests.has_run, true) {
@@ -463,7 +473,10 @@ where
 #[inline(always)]
 pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
     let speed = joint.steady_speed();
-    let easily = joint.stage.drive_in_range(supply, sample, speed, late);
+    let easily = match joint.stage.is_three_phase() {
+        true => None,
+        false => joint.stage.drive_in_range(supply, sample, speed, late),
+    };
     easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }
 

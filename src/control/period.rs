@@ -18,7 +18,8 @@ where
     S: Stage,
 {
     /// Runs one crest and returns the drives of all motors for the next carrier period. With a control step `due`, also
-    /// renders the scene and commands torques. `samples` are the samples of each motor, see [`ControlLoop::duties`].
+    /// renders the scene and commands torques. `samples` are the samples of each motor, see [`ControlLoop::duties`]. If
+    /// motors have three phases, call [`ControlLoop::read_phases`] first.
     /// Call [`ControlLoop::mark`] before if index pulses arrived, and [`ControlLoop::check_slow_faults`] after.
     pub fn crest(
         &mut self,

@@ -2,13 +2,15 @@
 
 use crate::control::frame::Now;
 use crate::control::joints::{Counts, Torques};
-use crate::drive::brushed::Axis;
+use crate::drive::brushless::resolves;
 use crate::drive::carrier::Carrier;
+use crate::drive::motor_stage::MotorStage;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
+use crate::model::motor::Motor;
 use crate::model::padding::{as_joints, pad, to_joints};
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
@@ -133,9 +135,24 @@ macro_rules! define {
 }
 crate::mechanisms!(define);
 
+/// Returns an error if a board cannot commutate the three-phase motor of joint `index`.
+fn commutation_refusal(bridge: &Bridge, motor: &Motor<f32>, scale: f32, index: u8) -> Result<(), Refusal> {
+    if bridge.legs < 3 {
+        return Err(Refusal::BridgeHasTwoLegs(index));
+    }
+    if !bridge.current_sensed {
+        return Err(Refusal::NoCurrentSensor(index));
+    }
+    // Written so that NaN is an error.
+    match motor.electrical_ratio().is_some_and(|ratio| resolves(ratio * scale)) {
+        true => Ok(()),
+        false => Err(Refusal::EncoderTooCoarse(index)),
+    }
+}
+
 /// A device and a scene compiled for the control loop. `S` is the motor stage between a joint's torque and its motor.
 #[derive(Clone, Debug)]
-pub struct Program<K, S = Axis> {
+pub struct Program<K, S = MotorStage> {
     pub(crate) controller: AnyController<K>,
     pub(crate) mechanism: AnyMechanism<f32>,
     /// Initial state of the motor stages.
@@ -193,6 +210,10 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
                         arming_refused = arming_refused.or(Some(Refusal::MotorNotVerified(index)));
                     }
                     axes[i] = S::new(motor, &bridge, limits.current[i]);
+                    axes[i].set_encoder(scale);
+                    if axes[i].is_three_phase() {
+                        commutation_refusal(&bridge, motor, scale, index)?;
+                    }
                 }
             }
             if hardware.real && joint.limits.is_none() {

@@ -147,9 +147,10 @@ impl Axis {
         self.integrator + self.back_emf * speed + self.proportional * error + self.resistance * begin
     }
 
-    /// Implements [`Stage::drive`] with any timing and at any limit, for a usable supply.
+    /// Implements [`Stage::drive`] with any timing and at any limit, for a usable supply. `coupled` is a voltage (V) of
+    /// the motor in addition to the back-EMF.
     #[inline(never)]
-    fn drive_at_limits(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
+    fn drive_at_limits(&mut self, supply: &Supply, current: f32, speed: f32, coupled: f32, late: bool) -> f32 {
         let timing = self.timing[usize::from(late)];
         let error = self.expected - current;
         // The drive begins at this current. The previous drive continues until a late drive acts.
@@ -160,7 +161,7 @@ impl Axis {
         let change = self.target - begin;
         let mut rise = if change > up { up } else { change };
         rise = if rise < down { down } else { rise };
-        let (hold, dead_time_duty) = (self.holding_voltage(begin, error, speed), self.dead_time_duty());
+        let (hold, dead_time_duty) = (self.holding_voltage(begin, error, speed) + coupled, self.dead_time_duty());
         let mut duty = dead_time_duty + supply.inverse * (hold + self.volts_per_amp * rise);
         // A voltage that the bus cannot supply is not integrated further.
         let integrates = if duty.abs() <= USABLE_DUTY {
@@ -177,6 +178,31 @@ impl Axis {
             self.integrator += self.integral * error;
         }
         duty
+    }
+}
+
+/// An axis of a three-phase motor's rotor frame, whose windings obey the same equation as a brushed motor's.
+impl Axis {
+    /// Returns the duty of an axis whose voltage also contains `coupled` (V), see [`Stage::drive`].
+    pub(super) fn drive_coupled(
+        &mut self,
+        supply: &Supply,
+        current: f32,
+        speed: f32,
+        coupled: f32,
+        late: bool,
+    ) -> Duty {
+        Duty(self.drive_at_limits(supply, current, speed, coupled, late))
+    }
+
+    /// Returns the current that the sensors should show now, A.
+    pub(super) fn expected_current(&self) -> f32 {
+        self.expected
+    }
+
+    /// Returns this axis without compensation of the dead time, which depends on the currents of the phases.
+    pub(super) fn without_dead_time(self) -> Self {
+        Self { dead_time_share: 0.0, ..self }
     }
 }
 
@@ -271,7 +297,7 @@ impl Stage for Axis {
             self.integrator = 0.0;
             return Duty::default();
         }
-        Duty(self.drive_at_limits(supply, current, speed, late))
+        Duty(self.drive_at_limits(supply, current, speed, 0.0, late))
     }
 
     /// A late drive makes at most the requested change of current, so only its voltage can be out of range.

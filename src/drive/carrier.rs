@@ -3,6 +3,7 @@
 //! The carrier is centre-aligned: a timer counts up to a crest and down to a valley. Encoders and currents are sampled
 //! at the crest. A duty that is written after the crest applies at the next valley, half a carrier period later.
 
+use super::motor_stage::MotorDrive;
 use super::stage::Duty;
 
 /// Lowest carrier frequency, Hz: above the audible range.
@@ -73,10 +74,22 @@ impl Ticks {
         Self { half: 0.5 * f32::from(top), middle: first.wrapping_add(second << 16) }
     }
 
+    /// Returns the compare values of a bridge's legs for a drive.
+    #[inline(always)]
+    pub fn legs(&self, drive: MotorDrive) -> [u16; 3] {
+        match drive {
+            MotorDrive::Bridge(duty) => {
+                let [first, second] = self.two_legs(duty);
+                [first, second, 0]
+            }
+            MotorDrive::ThreePhase { legs, .. } => legs.map(|leg| (2.0 * self.half * leg + 0.5) as u16),
+        }
+    }
+
     /// Returns the compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other
     /// leg is below, so a duty of 0 makes exactly no voltage.
     #[inline(always)]
-    pub fn legs(&self, duty: Duty) -> [u16; 2] {
+    fn two_legs(&self, duty: Duty) -> [u16; 2] {
         let ticks = (Self::ROUNDING_OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
         // One subtraction sets both legs, because the second leg loses the ticks that the first leg gains.
         let both = self.middle.wrapping_add(ticks.wrapping_sub(ticks << 16));
@@ -114,7 +127,7 @@ mod tests {
     fn legs_differ_by_the_duty_and_coincide_for_invalid_duties() {
         let legs_of = |top: u16, share: f32| {
             let carrier = Carrier { top, divider: 1, timer_hz: TIMER_HZ };
-            carrier.ticks().legs(Duty::nearest(share))
+            carrier.ticks().two_legs(Duty::nearest(share))
         };
         // The largest distance from the middle is 0.92 of 2100 ticks.
         for (share, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [168, 4032]), (9.0, [4032, 168])] {

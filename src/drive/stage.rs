@@ -1,8 +1,7 @@
 //! The motor stage: the interface between joint torques and the legs of a board's bridges.
 //!
-//! Boards use the stage [`brushed::Axis`](super::brushed::Axis). The control loop applies its limits, checks and
-//! thermal budget to any stage, such as an amplifier with a current set-point, or a field-oriented motor with one
-//! sample per phase and one duty per leg (tests/stages.rs).
+//! Boards use the stage [`MotorStage`](super::motor_stage::MotorStage). The control loop applies its limits, checks and
+//! thermal budget to any stage, such as an amplifier with a current set-point (tests/stages.rs).
 
 use super::bits::margin_bits_between;
 use crate::math::clamp;
@@ -26,6 +25,8 @@ pub struct Bridge {
     pub bandwidth_hz: f32,
     /// True if the motors' currents are measured.
     pub current_sensed: bool,
+    /// Number of legs of each motor's bridge: 2 for brushed motors only, or 3.
+    pub legs: u8,
 }
 
 /// The voltage across a motor, as a signed share of the bus voltage of at most [`MAX_DUTY`], never NaN.
@@ -79,6 +80,24 @@ pub trait Stage: Copy + Debug + Default {
     type Drive: Copy + Debug + Default;
     /// Makes the stage of a motor. The current limit is the smaller of `max_current` (A) and the motor's own limit.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self;
+    /// Sets the joint's angle per encoder count, rad.
+    fn set_encoder(&mut self, _radians_per_count: f32) {}
+
+    /// Returns true if the motor has three phases. Such a stage is read by [`Stage::read`] and driven by
+    /// [`Stage::drive`], not by [`Stage::drive_in_range`].
+    #[inline(always)]
+    fn is_three_phase(&self) -> bool {
+        false
+    }
+
+    /// Returns the current that makes torque and the error of all other current, A, from half the difference and the
+    /// sum of the currents of the bridge's first two legs at an encoder count. For a brushed motor these are its current
+    /// and the difference of two sensors.
+    #[inline(always)]
+    fn read(&mut self, half_difference: f32, sum: f32, _count: i32) -> (f32, f32) {
+        (half_difference, sum)
+    }
+
     /// Sets the current limit, A; the motor's own limit still applies.
     fn limit(&mut self, max_current: f32);
     /// Returns the current limit, A.

@@ -4,7 +4,25 @@ use crate::math::{Real, cast};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// A brushed motor, referred to the joint.
+/// The windings of a motor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Winding<T> {
+    /// One winding behind brushes, on two legs of a bridge.
+    #[default]
+    Brushed,
+    /// Three phases with surface magnets, on three legs.
+    ThreePhase {
+        /// Electrical turns per turn of the motor's shaft.
+        pole_pairs: u8,
+        /// Turns of the shaft per turn of the joint.
+        ratio: T,
+    },
+}
+
+/// A motor, referred to the joint.
+///
+/// Resistance and inductance of a three-phase motor are those between a phase and the neutral point. Its current is the
+/// quadrature current, amplitude-invariant: 1 A is 1 A peak in a phase. Its back-EMF is the peak of a phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Motor<T> {
     /// Torque constant, N m/A at the joint.
@@ -17,11 +35,21 @@ pub struct Motor<T> {
     pub back_emf: T,
     /// Maximum current, A.
     pub max_current: T,
+    /// Windings.
+    pub winding: Winding<T>,
     /// True if a person or a calibration has verified these numbers. A real board refuses to arm unverified motors.
     pub verified: bool,
 }
 
 impl<T: Real> Motor<T> {
+    /// Returns the electrical turns per turn of the joint, of a three-phase motor.
+    pub fn electrical_ratio(&self) -> Option<T> {
+        match self.winding {
+            Winding::Brushed => None,
+            Winding::ThreePhase { pole_pairs, ratio } => Some(T::from_i32(pole_pairs.into()) * ratio),
+        }
+    }
+
     /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Motor<U> {
         Motor {
@@ -30,6 +58,10 @@ impl<T: Real> Motor<T> {
             inductance: cast(self.inductance),
             back_emf: cast(self.back_emf),
             max_current: cast(self.max_current),
+            winding: match self.winding {
+                Winding::Brushed => Winding::Brushed,
+                Winding::ThreePhase { pole_pairs, ratio } => Winding::ThreePhase { pole_pairs, ratio: cast(ratio) },
+            },
             verified: self.verified,
         }
     }

@@ -33,6 +33,12 @@ pub enum Refusal {
     NoMotor(u8),
     /// A motor's data are not verified.
     MotorNotVerified(u8),
+    /// A joint's motor has three phases, and the board's bridges have two legs.
+    BridgeHasTwoLegs(u8),
+    /// A joint's motor has three phases, and the board does not measure currents.
+    NoCurrentSensor(u8),
+    /// A joint's encoder is too coarse for the poles of its motor.
+    EncoderTooCoarse(u8),
     /// The polarity has not been checked with this device and its present home.
     PolarityUnchecked,
     /// A joint is outside its limits.
@@ -86,6 +92,18 @@ impl core::fmt::Display for Refusal {
             Self::MotorNotVerified(joint) => write!(
                 f,
                 "the motor of joint {joint} is not verified: check its numbers, `inductance` among them, then set `verified = true` in the device file"
+            ),
+            Self::BridgeHasTwoLegs(joint) => write!(
+                f,
+                "the motor of joint {joint} is brushless, and this board's bridges have two legs: use an ODrive v3"
+            ),
+            Self::NoCurrentSensor(joint) => write!(
+                f,
+                "the motor of joint {joint} is brushless, and this board measures no current: use a board that does"
+            ),
+            Self::EncoderTooCoarse(joint) => write!(
+                f,
+                "the encoder of joint {joint} has fewer than 60 counts per electrical turn: use a finer one, or check `pole_pairs` and `ratio`"
             ),
             Self::PolarityUnchecked => {
                 f.write_str("motor polarity has not been checked with this device and this home: run `haptic polarity`")

@@ -3,7 +3,7 @@
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, JointFrame, Link, Transmission};
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use std::f64::consts::TAU;
 use toml::{Table, Value};
 
@@ -127,6 +127,7 @@ fn motor(table: &Table) -> Motor<f64> {
         inductance: number(table, "inductance").unwrap_or(0.0),
         back_emf: number(table, "back_emf").unwrap_or(torque_constant),
         max_current,
+        winding: Winding::Brushed,
         verified: table.get("verified").is_some_and(|flag| flag.as_bool().expect("a flag")),
     }
 }

@@ -12,7 +12,8 @@ use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Command, ControlLoop, HostAction, Reply, Rules, Status};
-use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};
+use haptic_bridge::drive::motor_stage::MotorStage;
+use haptic_bridge::drive::stage::{Bridge, MAX_DUTY, Stage as _};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -150,7 +151,8 @@ impl Board {
 
     /// Creates a board that boots from these settings.
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
-        let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
+        let bridge =
+            Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true, legs: 2 };
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let board_limits = Limits::default();
         let mut board = Self {
@@ -196,7 +198,7 @@ impl Board {
             self.machine.control_loop.mark(marks);
         }
         let (outputs, duties) = self.machine.control_loop.crest(&samples, &samples.currents, true);
-        (self.bridges, self.duties) = (outputs.bridges, duties.map(f32::from));
+        (self.bridges, self.duties) = (outputs.bridges, duties.map(MotorStage::duty));
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
         let frame = self.machine.control_loop.frame();
         if self.packer.wants(frame.step) {
@@ -275,7 +277,7 @@ impl Board {
             assert!(!is_looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
         let samples = self.measured_samples();
-        self.duties = self.machine.control_loop.duties(samples.bus_voltage, &samples.currents, false).map(f32::from);
+        self.duties = self.machine.control_loop.duties(samples.bus_voltage, &samples.currents, false).map(MotorStage::duty);
         self.check_invariants();
         self.check_slow_faults(&samples);
         match after {

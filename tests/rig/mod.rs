@@ -7,13 +7,14 @@ use haptic_bridge::control::frame::{Outputs, Samples};
 use haptic_bridge::control::joints::{Counts, Currents, Torques};
 use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Beat, Command, ControlLoop, HostAction, Rules};
-use haptic_bridge::drive::stage::Bridge;
+use haptic_bridge::drive::motor_stage::MotorStage;
+use haptic_bridge::drive::stage::{Bridge, Stage as _};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
@@ -36,7 +37,13 @@ pub fn hardware() -> Hardware {
         axes: 3,
         real: true,
         bus_sensed: true,
-        bridge: Bridge { carrier_hz: 20_000.0, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed: true },
+        bridge: Bridge {
+            carrier_hz: 20_000.0,
+            dead_time: 200.0e-9,
+            bandwidth_hz: 1_000.0,
+            current_sensed: true,
+            legs: 2,
+        },
         timer_hz: 168_000_000,
     }
 }
@@ -70,6 +77,7 @@ fn joint() -> Joint {
             inductance: 1.0e-3,
             back_emf: 0.1,
             max_current: 3.0,
+            winding: Winding::Brushed,
             verified: true,
         }),
         ..Joint::default()
@@ -349,7 +357,7 @@ impl Rig {
             self.outputs = self.control_loop.check_slow_faults(&crest);
             // Bridges that are turned off at the valley never apply the duties of the crest.
             let applied = self.outputs.bridges || !at_crest.bridges;
-            self.duties = if applied { duties.map(f32::from) } else { [0.0; MAX_JOINTS] };
+            self.duties = if applied { duties.map(MotorStage::duty) } else { [0.0; MAX_JOINTS] };
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS_PER_TURN as f32 * self.rate;

@@ -134,7 +134,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         axes: MAX_JOINTS,
         real: false,
         bus_sensed: false,
-        bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },
+        bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false, legs: 2 },
         timer_hz: haptic_sim::TIMER_HZ,
     };
     let mut control_loop = ControlLoop::<Box<Program<BoardMath>>>::new(hardware, rules);

@@ -169,6 +169,7 @@ impl SimulatedBoard {
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_INDUCTANCE_SHARE },
                 // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
+                legs: 2,
             },
             timer_hz: TIMER_HZ,
         };

@@ -5,7 +5,7 @@
 //! the bus voltage times 2 · dead time · carrier frequency. For a current smaller than its ripple this effect fades to
 //! zero, because the current then changes sign in every period.
 
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 
 /// The drive of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -113,6 +113,7 @@ mod tests {
         inductance: 1e-3,
         back_emf: 0.05,
         max_current: 3.0,
+        winding: Winding::Brushed,
         verified: false,
     };
     const IDEAL_STAGE: PowerStage = PowerStage { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };

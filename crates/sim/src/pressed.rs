@@ -128,7 +128,13 @@ impl PressedBoard {
             real: false,
             bus_sensed: false,
             timer_hz: super::TIMER_HZ,
-            bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
+            bridge: Bridge {
+                carrier_hz: 20_000.0,
+                dead_time: 0.0,
+                bandwidth_hz: 1_000.0,
+                current_sensed: false,
+                legs: 2,
+            },
         };
         let device = Device::new("held", &description).map_err(|_| Refusal::BadDevice)?;
         let program = Program::new(&hardware, &press.limits, &device, &scene, false)?;

@@ -73,7 +73,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: a step is missing");
 
         let rules = rig.tool.rules().expect("it replies");
-        let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+        let bridge =
+            Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true, legs: 2 };
         let hardware = Hardware {
             axes: Wiring::of_board(kind).motors.len(),
             real: true,

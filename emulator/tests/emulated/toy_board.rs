@@ -42,8 +42,13 @@ impl Board for ToyBoard {
     /// The pin of the bus divider identifies the board.
     const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('C', 3)], open_pins: &[] };
     const AXES: usize = 1;
-    const BRIDGE: Bridge =
-        Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+    const BRIDGE: Bridge = Bridge {
+        carrier_hz: CARRIER_MIN_HZ as f32,
+        dead_time: 0.0,
+        bandwidth_hz: 1000.0,
+        current_sensed: true,
+        legs: 2,
+    };
     const LIMITS: Limits = Limits {
         torque: [1.0; 3],
         current: [8.0; 3],

@@ -84,8 +84,13 @@ impl<W: Wires> Board for HBridges<W> {
     const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
     const AXES: usize = AXES;
     /// Data of the bridges. The dead time causes no distortion (see [`DEAD_TIME_TICKS`]), so it is not compensated.
-    const BRIDGE: Bridge =
-        Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+    const BRIDGE: Bridge = Bridge {
+        carrier_hz: CARRIER_MIN_HZ as f32,
+        dead_time: 0.0,
+        bandwidth_hz: 1000.0,
+        current_sensed: true,
+        legs: 2,
+    };
     /// Limits that cannot be raised over USB: the ranges of the current sensors and of the bus divider.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],

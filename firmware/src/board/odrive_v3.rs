@@ -67,6 +67,7 @@ impl Board for OdriveV3 {
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
         bandwidth_hz: 1000.0,
         current_sensed: true,
+        legs: 2,
     };
     /// Limits that cannot be raised over USB. The current limit is half of the shunts' range. A 24 V board has a
     /// smaller divider and shows 1.7 times its voltage, so the 50 V limit trips at 29 V there.

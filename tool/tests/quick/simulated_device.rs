@@ -5,11 +5,18 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
     Cogging, Description, Encoder, EncoderAt, Joint, Link, Stribeck, StructuralMode, Transmission,
 };
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, PowerStage, SimulatedDevice, Waypoint};
 
-const MOTOR: Motor<f64> =
-    Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };
+const MOTOR: Motor<f64> = Motor {
+    torque_constant: 0.5,
+    resistance: 2.0,
+    inductance: 0.0,
+    back_emf: 0.5,
+    max_current: 3.0,
+    winding: Winding::Brushed,
+    verified: false,
+};
 
 fn joint(inertia: f64, viscous: f64, coulomb: f64) -> Joint {
     Joint {

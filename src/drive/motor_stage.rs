@@ -1,0 +1,204 @@
+//! The motor stage of a board, for any motor that a device file describes.
+
+use super::brushed::Axis;
+use super::brushless::ThreePhase;
+use super::stage::{Bridge, Duty, Stage, Supply};
+use crate::model::motor::Motor;
+
+/// A brushed motor, or a three-phase motor whose quadrature axis makes the torque.
+///
+/// The brushed axis comes first, so that a crest reaches it as if it were alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+pub struct MotorStage {
+    axis: Axis,
+    three_phase: Option<ThreePhase>,
+}
+
+/// The command to the legs of one motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MotorDrive {
+    /// The voltage between the first two legs.
+    Bridge(Duty),
+    /// The voltages of three legs.
+    ThreePhase {
+        /// Duty of each leg, 0 to 1.
+        legs: [f32; 3],
+        /// Quadrature voltage as a share of the bus voltage.
+        share: f32,
+    },
+}
+
+impl Default for MotorDrive {
+    fn default() -> Self {
+        Self::Bridge(Duty::default())
+    }
+}
+
+impl MotorStage {
+    /// Returns the three-phase part of a brushless motor.
+    pub fn three_phase(&self) -> Option<&ThreePhase> {
+        self.three_phase.as_ref()
+    }
+
+    /// Returns the three-phase part of a brushless motor.
+    pub fn three_phase_mut(&mut self) -> Option<&mut ThreePhase> {
+        self.three_phase.as_mut()
+    }
+}
+
+impl Stage for MotorStage {
+    type Sample = f32;
+    type Drive = MotorDrive;
+
+    fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
+        let (axis, three_phase) = (Axis::new(motor, bridge, max_current), ThreePhase::new(motor, bridge, max_current));
+        Self { axis: if three_phase.is_some() { axis.without_dead_time() } else { axis }, three_phase }
+    }
+
+    fn set_encoder(&mut self, radians_per_count: f32) {
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.set_encoder(radians_per_count);
+        }
+    }
+
+    fn is_three_phase(&self) -> bool {
+        self.three_phase.is_some()
+    }
+
+    fn read(&mut self, current: f32, imbalance: f32, count: i32) -> (f32, f32) {
+        match &mut self.three_phase {
+            None => (current, imbalance),
+            Some(three_phase) => three_phase.read(current, imbalance, count),
+        }
+    }
+
+    fn limit(&mut self, max_current: f32) {
+        self.axis.limit(max_current);
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.limit(max_current);
+        }
+    }
+
+    fn max_current(&self) -> f32 {
+        self.axis.max_current()
+    }
+
+    fn motor_current(&self) -> f32 {
+        self.axis.motor_current()
+    }
+
+    fn max_torque(&self) -> f32 {
+        self.axis.max_torque()
+    }
+
+    #[inline(always)]
+    fn torque_of(&self, current: f32) -> f32 {
+        self.axis.torque_of(current)
+    }
+
+    fn target_current(&self) -> f32 {
+        self.axis.target_current()
+    }
+
+    #[inline(always)]
+    fn command(&mut self, torque: f32) {
+        self.axis.command(torque);
+    }
+
+    #[inline(always)]
+    fn command_within(&mut self, torque: f32) {
+        self.axis.command_within(torque);
+    }
+
+    fn drive(&mut self, supply: &Supply, sample: f32, speed: f32, late: bool) -> MotorDrive {
+        match &mut self.three_phase {
+            Some(three_phase) if supply.is_usable() && three_phase.is_ready() => {
+                let (legs, share) = three_phase.drive(&mut self.axis, supply, sample, speed, late);
+                MotorDrive::ThreePhase { legs, share }
+            }
+            Some(three_phase) => {
+                self.axis.rest();
+                three_phase.rest();
+                MotorDrive::ThreePhase { legs: [0.5; 3], share: 0.0 }
+            }
+            None => MotorDrive::Bridge(self.axis.drive(supply, sample, speed, late)),
+        }
+    }
+
+    #[inline(always)]
+    fn drive_in_range(&mut self, supply: &Supply, sample: f32, speed: f32, late: bool) -> Option<MotorDrive> {
+        self.axis.drive_in_range(supply, sample, speed, late).map(MotorDrive::Bridge)
+    }
+
+    #[inline(always)]
+    fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
+        self.axis.settle(bus_voltage, given, speed, raw);
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.settle(bus_voltage);
+        }
+    }
+
+    fn back_emf_current(&self, speed: f32) -> f32 {
+        self.axis.back_emf_current(speed)
+    }
+
+    #[inline(always)]
+    fn duty(drive: MotorDrive) -> f32 {
+        match drive {
+            MotorDrive::Bridge(duty) => duty.into(),
+            MotorDrive::ThreePhase { share, .. } => share,
+        }
+    }
+
+    fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
+        self.axis.resistance_of(voltage, current, angle, rate)
+    }
+
+    fn rest(&mut self) {
+        self.axis.rest();
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.rest();
+        }
+    }
+
+    fn inherit(&mut self, other: &Self) {
+        self.axis.inherit(&other.axis);
+        if let (Some(three_phase), Some(other)) = (&mut self.three_phase, &other.three_phase) {
+            three_phase.inherit(other);
+        }
+    }
+
+    #[inline(always)]
+    fn strain(&self) -> (f32, f32, f32) {
+        self.axis.strain()
+    }
+
+    fn inspect_above(&mut self, torque: f32) {
+        self.axis.inspect_above(torque);
+    }
+
+    fn current_from_voltage(&self) -> f32 {
+        self.axis.current_from_voltage()
+    }
+
+    fn set_measured_resistance(&mut self, ohms: f32) {
+        self.axis.set_measured_resistance(ohms);
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.set_measured_resistance(ohms);
+        }
+    }
+
+    fn has_expected_current(&self) -> bool {
+        self.axis.has_expected_current()
+    }
+
+    fn speed_of_back_emf(&self, volts: f32) -> f32 {
+        self.axis.speed_of_back_emf(volts)
+    }
+
+    #[inline(always)]
+    fn least_speed(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
+        self.axis.least_speed(duty, bus_voltage, current)
+    }
+}
