@@ -530,7 +530,10 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
         winding: if is_brushless { three_phase(table, prismatic) } else { Winding::Brushed },
         torque_constant,
         resistance: table.required_number("resistance", Must::BePositive, "resistance = 2.0"),
-        inductance: table.number_or("inductance", Must::NotBeNegative, 0.0),
+        inductance: match is_brushless {
+            true => table.required_number("inductance", Must::BePositive, "inductance = 0.001"),
+            false => table.number_or("inductance", Must::NotBeNegative, 0.0),
+        },
         back_emf: table.number_or("back_emf", Must::NotBeNegative, back_emf),
         max_current: table.required_number("max_current", Must::BePositive, "max_current = 3.0"),
         verified: table.flag_or("verified", false),

@@ -211,8 +211,11 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
                     }
                     axes[i] = S::new(motor, &bridge, limits.current[i]);
                     axes[i].set_encoder(scale);
-                    if axes[i].is_three_phase() {
+                    if axes[i].is_three_phase() && hardware.real {
                         commutation_refusal(&bridge, motor, scale, index)?;
+                    }
+                    if !hardware.real {
+                        axes[i].assume_alignment(joint.offset);
                     }
                 }
             }

@@ -103,6 +103,10 @@ impl ThreePhase {
         self.angle_per_count = if resolves(angle) { (angle * (TURN / core::f32::consts::TAU)) as i32 } else { 0 };
     }
 
+    pub(super) fn assume_alignment(&mut self, offset: f32) {
+        self.frame = Frame::Rotor(BinaryAngle::from_radians((self.electrical_ratio * offset).into()));
+    }
+
     /// Returns true if the encoder resolves the motor's electrical angle.
     pub fn is_usable(&self) -> bool {
         self.angle_per_count != 0

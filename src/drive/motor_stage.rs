@@ -62,6 +62,12 @@ impl Stage for MotorStage {
         }
     }
 
+    fn assume_alignment(&mut self, offset: f32) {
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.assume_alignment(offset);
+        }
+    }
+
     fn is_three_phase(&self) -> bool {
         self.three_phase.is_some()
     }

@@ -90,6 +90,10 @@ pub trait Stage: Copy + Debug + Default {
         false
     }
 
+    /// Assumes that the electrical angle of a three-phase motor is zero where its joint's angle is zero. `offset` is the
+    /// joint's angle at count zero, rad. Only for simulated motors.
+    fn assume_alignment(&mut self, _offset: f32) {}
+
     /// Returns the current that makes torque and the error of all other current, A, from half the difference and the
     /// sum of the currents of the bridge's first two legs at an encoder count. For a brushed motor these are its current
     /// and the difference of two sensors.

@@ -277,7 +277,8 @@ impl Board {
             assert!(!is_looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
         let samples = self.measured_samples();
-        self.duties = self.machine.control_loop.duties(samples.bus_voltage, &samples.currents, false).map(MotorStage::duty);
+        self.duties =
+            self.machine.control_loop.duties(samples.bus_voltage, &samples.currents, false).map(MotorStage::duty);
         self.check_invariants();
         self.check_slow_faults(&samples);
         match after {

@@ -20,6 +20,7 @@ use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::control::program::Hardware;
 use haptic_bridge::control::{ARM_SECONDS, ControlLoop, HostAction, Rules, Status};
 use haptic_bridge::drive::brushed::UNKNOWN_INDUCTANCE_SHARE;
+use haptic_bridge::drive::motor_stage::MotorDrive;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -169,7 +170,7 @@ impl SimulatedBoard {
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_INDUCTANCE_SHARE },
                 // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
-                legs: 2,
+                legs: 3,
             },
             timer_hz: TIMER_HZ,
         };
@@ -237,12 +238,20 @@ impl SimulatedBoard {
         let period = carrier * f64::from(carriers);
         let flowing = self.device.currents();
         let faults = &self.options.faults;
-        let currents = Currents::from_fn(|axis| faults.current(&flowing, axis, axis) as f32);
+        let mut currents = Currents::from_fn(|axis| faults.current(&flowing, axis, axis) as f32);
+        let mut imbalance = Currents::default();
+        for axis in 0..self.device.joints() {
+            if let Some(phases) = self.device.phase_currents(faults.motors[axis]) {
+                let (half_difference, sum) = faults.leg_currents(phases, axis);
+                (currents[axis], imbalance[axis]) = (half_difference as f32, sum as f32);
+            }
+        }
         let bus_voltage = faults.bus_reading.unwrap_or(self.device.bus_voltage()) as f32;
         let due = self.countdown == 0;
         let counts = Counts(faults.counts(self.device.counts(), self.readings));
         self.readings += 1;
-        let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
+        let mut samples = Samples { counts, bus_voltage, currents, imbalance, late: false };
+        self.machine.control_loop.read_phases(&mut samples);
         self.guard_skipped_crests(&samples, carriers);
         if due {
             self.countdown = self.machine.carrier.divider.into();
@@ -255,7 +264,7 @@ impl SimulatedBoard {
                 self.machine.control_loop.trip(fault, axis, value);
             }
         }
-        let (outputs, duties) = self.machine.control_loop.crest(&samples, &currents, due);
+        let (outputs, duties) = self.machine.control_loop.crest(&samples, &samples.currents, due);
         self.bridges_on = outputs.bridges;
         if due {
             self.update_hand();
@@ -273,7 +282,10 @@ impl SimulatedBoard {
         for (axis, input) in next.iter_mut().enumerate() {
             *input = match (self.bridges_on, self.options.drive) {
                 (false, _) => MotorInput::Floating,
-                (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
+                (true, DriveModel::Electric) => match duties[axis] {
+                    MotorDrive::Bridge(duty) => MotorInput::Duty(f32::from(duty).into()),
+                    MotorDrive::ThreePhase { legs, .. } => MotorInput::Legs(legs.map(f64::from)),
+                },
                 (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
             };
         }

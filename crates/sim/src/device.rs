@@ -1,5 +1,6 @@
 //! A simulated device: linkage, motors, encoders and a hand. Converts drive inputs to counts, currents and index marks.
 
+use super::brushless::BrushlessModel;
 use super::encoder::EncoderModel;
 use super::hand::Hand;
 use super::motor::{MotorInput, MotorModel, PowerStage};
@@ -13,6 +14,8 @@ pub struct Options {
     pub friction: bool,
     /// The supply and the bridges.
     pub bridge: PowerStage,
+    /// Electrical angle of each three-phase motor at joint angle zero, rad.
+    pub electrical_zero: [f64; 3],
     /// Joint angles at power-on, rad; `None` for the home of the description.
     pub start: Option<[f64; 3]>,
     /// True if the encoders show the joint angles at power-on, as if homed; otherwise they start at zero in any pose.
@@ -32,6 +35,7 @@ impl Default for Options {
         Self {
             friction: true,
             bridge: PowerStage::default(),
+            electrical_zero: [0.0; 3],
             start: None,
             absolute_encoders: false,
             substep: 5e-6,
@@ -78,11 +82,18 @@ pub enum DeviceError {
     Substep,
 }
 
+/// The electrical state of a motor of either kind.
+#[derive(Clone, Debug)]
+enum AnyMotor {
+    Brushed(MotorModel),
+    ThreePhase(BrushlessModel),
+}
+
 /// A simulated device.
 #[derive(Clone, Debug)]
 pub struct SimulatedDevice {
     plant: Plant,
-    motors: Vec<MotorModel>,
+    motors: Vec<AnyMotor>,
     encoders: Vec<EncoderModel>,
     hand: Hand,
     support: Support,
@@ -114,7 +125,11 @@ impl SimulatedDevice {
         let mut motors = Vec::with_capacity(joints);
         let mut encoders = Vec::with_capacity(joints);
         for (index, joint) in description.joints[..joints].iter().enumerate() {
-            motors.push(MotorModel::new(joint.motor.ok_or(DeviceError::NoMotor(index))?));
+            let motor = joint.motor.ok_or(DeviceError::NoMotor(index))?;
+            motors.push(match BrushlessModel::new(motor, options.electrical_zero[index]) {
+                Some(motor) => AnyMotor::ThreePhase(motor),
+                None => AnyMotor::Brushed(MotorModel::new(motor)),
+            });
             let encoder = joint.encoder.ok_or(DeviceError::NoEncoder(index))?;
             let zero = if options.absolute_encoders { encoder.offset } else { start[index] };
             encoders.push(EncoderModel::new(&encoder, zero));
@@ -141,8 +156,12 @@ impl SimulatedDevice {
         for _ in 0..substeps as u64 {
             let qd = self.plant.motor_velocity();
             let mut load = Load::default();
+            let at = self.plant.motor_angle();
             for (axis, motor) in self.motors.iter_mut().enumerate() {
-                (load.torque[axis], load.damping[axis]) = motor.step(drive[axis], qd[axis], &self.bridge, h);
+                (load.torque[axis], load.damping[axis]) = match motor {
+                    AnyMotor::Brushed(motor) => motor.step(drive[axis], qd[axis], &self.bridge, h),
+                    AnyMotor::ThreePhase(motor) => (motor.step(drive[axis], at[axis], qd[axis], &self.bridge, h), 0.0),
+                };
             }
             let (tip, tip_velocity) = (self.plant.tip(), self.plant.tip_velocity());
             load.force = self.hand.step(&tip, &tip_velocity, self.plant.task(), self.time, h);
@@ -222,9 +241,21 @@ impl SimulatedDevice {
         let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).is_some_and(|encoder| encoder.at_index(q[i])))
     }
-    /// Returns the winding currents, A.
+    /// Returns the currents that make torque, A: of a brushed motor its winding's, else the quadrature current.
     pub fn currents(&self) -> [f64; 3] {
-        core::array::from_fn(|i| self.motors.get(i).map_or(0.0, MotorModel::current))
+        let at = self.plant.motor_angle();
+        core::array::from_fn(|i| match self.motors.get(i) {
+            None => 0.0,
+            Some(AnyMotor::Brushed(motor)) => motor.current(),
+            Some(AnyMotor::ThreePhase(motor)) => motor.quadrature_current(at[i]),
+        })
+    }
+    /// Returns the phase currents of a three-phase motor, A.
+    pub fn phase_currents(&self, axis: usize) -> Option<[f64; 3]> {
+        match self.motors.get(axis) {
+            Some(AnyMotor::ThreePhase(motor)) => Some(motor.currents()),
+            _ => None,
+        }
     }
     /// Returns the bus voltage, V.
     pub fn bus_voltage(&self) -> f64 {

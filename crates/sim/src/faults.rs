@@ -65,6 +65,10 @@ impl BoardFaults {
                 _ if self.open[axis] => MotorInput::Floating,
                 MotorInput::Floating => MotorInput::Floating,
                 MotorInput::Duty(duty) => MotorInput::Duty(duty * self.sign(axis)),
+                MotorInput::Legs([first, second, third]) if self.reversed[axis] => {
+                    MotorInput::Legs([first, third, second])
+                }
+                MotorInput::Legs(legs) => MotorInput::Legs(legs),
                 MotorInput::Torque(torque) => MotorInput::Torque(torque * self.sign(axis)),
             };
         }
@@ -79,6 +83,17 @@ impl BoardFaults {
     pub fn current(&self, currents: &[f64; 3], axis: usize, nth: usize) -> f64 {
         let current = self.sensor_frozen[axis].unwrap_or(currents[self.motors[axis]] * self.sign(axis));
         self.sensor_gain[nth] * current + self.sensor_offset[nth]
+    }
+    /// Returns half the difference and the sum of the readings of the first two legs of the axis, for these phase
+    /// currents of its motor, A. Each leg has a sensor.
+    #[must_use]
+    pub fn leg_currents(&self, phases: [f64; 3], axis: usize) -> (f64, f64) {
+        let legs = if self.reversed[axis] { [phases[0], phases[2]] } else { [phases[0], phases[1]] };
+        let [first, second]: [f64; 2] = core::array::from_fn(|leg| {
+            let nth = (2 * axis + leg).min(self.sensor_gain.len() - 1);
+            self.sensor_gain[nth] * self.sensor_frozen[axis].unwrap_or(legs[leg]) + self.sensor_offset[nth]
+        });
+        (0.5 * (first - second), first + second)
     }
     /// Returns the encoders' `nth` reading for the true `counts`.
     #[must_use]

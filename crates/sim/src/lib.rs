@@ -23,6 +23,7 @@
 #![forbid(unsafe_code)]
 
 mod board;
+mod brushless;
 mod device;
 pub mod door;
 mod encoder;

@@ -1,11 +1,12 @@
-//! A brushed motor behind an H-bridge, which converts duty to voltage, current and torque.
+//! A brushed motor behind an H-bridge, which converts duty to voltage, current and torque. A three-phase motor is in
+//! brushless.rs.
 //!
 //! V = R i + L di/dt + Kₑ ω is solved exactly over a step at constant speed, and the torque is Kₜ i. The bridge is
 //! averaged over its carrier period. The dead time of both half bridges reduces the voltage, against the current, by
 //! the bus voltage times 2 · dead time · carrier frequency. For a current smaller than its ripple this effect fades to
 //! zero, because the current then changes sign in every period.
 
-use haptic_bridge::model::motor::{Motor, Winding};
+use haptic_bridge::model::motor::Motor;
 
 /// The drive of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -15,6 +16,8 @@ pub enum MotorInput {
     Floating,
     /// The bridge applies this share of the bus voltage, in [-1, 1].
     Duty(f64),
+    /// The legs of a three-phase bridge have these duties, 0 to 1.
+    Legs([f64; 3]),
     /// An ideal drive makes this torque, N m, at any speed.
     Torque(f64),
 }
@@ -69,6 +72,8 @@ impl MotorModel {
                 self.current = torque / torque_constant;
                 (torque, 0.0)
             }
+            // Only the first two legs of the bridge are wired to a brushed motor.
+            MotorInput::Legs([first, second, _]) => self.step(MotorInput::Duty(first - second), omega, bridge, h),
             MotorInput::Duty(duty) => {
                 let duty = if duty.is_finite() { duty.clamp(-1.0, 1.0) } else { 0.0 };
                 let (voltage, resistance) = self.with_dead_time(duty * bridge.bus_voltage, bridge);
@@ -106,6 +111,7 @@ impl MotorModel {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use haptic_bridge::model::motor::Winding;
 
     const MOTOR: Motor<f64> = Motor {
         torque_constant: 0.05,

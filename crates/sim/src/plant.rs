@@ -203,7 +203,7 @@ impl Plant {
         core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta_d[i] } else { self.qd[i] })
     }
     /// Returns the motors' angles, referred to the joints, rad.
-    fn motor_angle(&self) -> [f64; 3] {
+    pub fn motor_angle(&self) -> [f64; 3] {
         core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta[i] } else { self.q[i] })
     }
     /// Returns the angles that the encoders measure, rad.
