@@ -235,6 +235,11 @@ where
         self.steady = -1;
     }
 
+    /// Returns, for each axis, true if its motor has three phases.
+    pub fn three_phase_axes(&self) -> [bool; MAX_JOINTS] {
+        self.joints.each_ref().map(|joint| joint.stage.is_three_phase())
+    }
+
     #[inline(always)]
     fn outputs(&self) -> Outputs {
         Outputs { bridges: self.state.drives() }

@@ -41,6 +41,7 @@ use embassy_stm32::pac::gpio::vals::{Idr, Pupdr};
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_stm32::{Peri, Peripherals};
 use embassy_time::{Duration, block_for};
+use haptic_bridge::control::compiled::Legs;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Carrier;
@@ -144,8 +145,11 @@ pub trait Io {
     fn sample(&mut self, samples: &mut Samples);
     /// Takes the readings as the sensors' zeros if a task waits for zeros. Call while the bridges are off.
     fn learn_zeros(&mut self);
-    /// Writes the compare values of each axis's two legs, which apply at the next valley.
-    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
+    /// Writes the compare values of each axis's legs, which apply at the next valley.
+    fn write(&mut self, legs: &Legs);
+    /// Connects the third legs of these axes to the carrier, and all other third legs to ground. Call while the bridges
+    /// are off.
+    fn connect_third_legs(&mut self, _axes: [bool; MAX_JOINTS]) {}
     /// Connects the bridges to the carrier, or lets them float and disables the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
     /// Returns true if the power stage reports a fault. Valid only while the power stage is enabled.

@@ -24,7 +24,7 @@ use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
 use haptic_bridge::control::Rules;
-use haptic_bridge::control::compiled::{self, BoardControlLoop};
+use haptic_bridge::control::compiled::{self, BoardControlLoop, Legs};
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::program::Hardware;
 use haptic_bridge::drive::carrier::{Carrier, Ticks};
@@ -52,7 +52,7 @@ pub struct TaskChannels {
 struct InterruptState {
     io: <This as Board>::Io,
     samples: Samples,
-    legs: [[u16; 2]; MAX_JOINTS],
+    legs: Legs,
     ticks: Ticks,
     /// Number of crests before the next control step, with flags for unfinished work of the last step, see [`OVERRAN`].
     step_countdown: u32,
@@ -112,7 +112,7 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
         samples: Samples::default(),
         late_crests: 0,
         duties_pending: false,
-        legs: [[0; 2]; MAX_JOINTS],
+        legs: Legs::default(),
         is_driving: false,
         missed_connections: 0,
         io,
@@ -164,7 +164,7 @@ impl InterruptState {
         if self.is_late() {
             self.crest_late();
         } else {
-            let drives = compiled::crest(&mut self.control_loop, &self.samples, &self.ticks, &mut self.legs);
+            let drives = compiled::crest(&mut self.control_loop, &mut self.samples, &self.ticks, &mut self.legs);
             self.write(drives);
         }
         // The valley does the work that is not urgent.
@@ -209,7 +209,7 @@ impl InterruptState {
         self.sample();
         self.samples.late = self.is_late();
         let drives =
-            compiled::crest_of_any_kind(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
+            compiled::crest_of_any_kind(&mut self.control_loop, &mut self.samples, false, &self.ticks, &mut self.legs);
         if self.samples.late {
             self.write_late(drives);
             self.samples.late = false;
@@ -245,7 +245,7 @@ impl InterruptState {
     #[inline(never)]
     fn crest_late(&mut self) {
         self.samples.late = true;
-        let drives = compiled::crest(&mut self.control_loop, &self.samples, &self.ticks, &mut self.legs);
+        let drives = compiled::crest(&mut self.control_loop, &mut self.samples, &self.ticks, &mut self.legs);
         self.write_late(drives);
         self.samples.late = false;
         increment(&CONTROL.shared.late_steps);

@@ -40,7 +40,12 @@ pub extern "C" fn carrier_render(control_loop: &mut OnBoard, counts: &Counts) {
 /// Runs the rest of a crest with a control step, like the interrupt.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+pub extern "C" fn carrier_crest(
+    control_loop: &mut OnBoard,
+    seen: &mut Samples,
+    ticks: &Ticks,
+    legs: &mut Legs,
+) -> bool {
     let on = compiled::crest(control_loop, seen, ticks, legs);
     #[cfg(feature = "broken")]
     {
@@ -54,7 +59,7 @@ pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, tick
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_generally(
     control_loop: &mut OnBoard,
-    seen: &Samples,
+    seen: &mut Samples,
     due: bool,
     ticks: &Ticks,
     legs: &mut Legs,

@@ -4,6 +4,7 @@
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::{Peripherals, pac, peripherals, rcc};
+use haptic_bridge::control::compiled::Legs;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
@@ -134,7 +135,7 @@ impl Io for Pins {
         self.offset = -AMPERES_PER_COUNT * self.zeros.get()[0];
     }
 
-    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: &Legs) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
     }
 

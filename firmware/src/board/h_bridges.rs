@@ -11,6 +11,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peri, Peripherals, peripherals, rcc};
+use haptic_bridge::control::compiled::Legs;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
@@ -219,7 +220,7 @@ impl<W: Wires> Io for BridgeIo<W> {
 
     /// Writes the compare value of each axis's first leg. The second leg is its complement.
     #[inline(always)]
-    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: &Legs) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));

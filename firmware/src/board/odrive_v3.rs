@@ -11,6 +11,7 @@ use embassy_stm32::spi::{self, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
+use haptic_bridge::control::compiled::Legs;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
@@ -67,7 +68,7 @@ impl Board for OdriveV3 {
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
         bandwidth_hz: 1000.0,
         current_sensed: true,
-        legs: 2,
+        legs: 3,
     };
     /// Limits that cannot be raised over USB. The current limit is half of the shunts' range. A 24 V board has a
     /// smaller divider and shows 1.7 times its voltage, so the 50 V limit trips at 29 V there.
@@ -144,7 +145,12 @@ impl Board for OdriveV3 {
         pwm::lock(pac::GPIOC, 0b111 << 6);
         pwm::lock(pac::GPIOD, 1 << N_FAULT);
 
-        let io = Pins { zeros: Zeros::new(), offsets: [ZeroOffsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
+        let io = Pins {
+            zeros: Zeros::new(),
+            offsets: [ZeroOffsets { current: 0.0, imbalance: 0.0 }; AXES],
+            carrier,
+            has_third_legs: false,
+        };
         (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
 }
@@ -154,6 +160,8 @@ pub struct Pins {
     zeros: Zeros<4>,
     offsets: [ZeroOffsets; AXES],
     carrier: Carrier,
+    /// True if a three-phase motor is loaded.
+    has_third_legs: bool,
 }
 
 /// Zero errors of an axis's two sensors, A: `current` is half their difference, `imbalance` their sum.
@@ -173,6 +181,13 @@ impl ZeroOffsets {
 }
 
 impl Pins {
+    /// Writes the compare values of phase A of both axes.
+    #[inline(never)]
+    fn write_third_legs(legs: &Legs) {
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][2]));
+        pac::TIM8.ccr(0).write(|w| w.set_ccr(legs[1][2]));
+    }
+
     /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second axis.
     #[inline(always)]
     fn raw_readings() -> [i32; 4] {
@@ -230,11 +245,25 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: &Legs) {
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
         pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM8.ccr(2).write(|w| w.set_ccr(legs[1][1]));
+        if self.has_third_legs {
+            Self::write_third_legs(legs);
+        }
+    }
+
+    fn connect_third_legs(&mut self, axes: [bool; MAX_JOINTS]) {
+        for (timer, connected) in TIMERS.into_iter().zip(axes) {
+            // An output that is off drives both switches of its leg low.
+            timer.ccer().modify(|w| {
+                w.set_cce(0, connected);
+                w.set_ccne(0, connected);
+            });
+        }
+        self.has_third_legs = axes.contains(&true);
     }
 
     #[inline]

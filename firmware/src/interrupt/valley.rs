@@ -123,6 +123,7 @@ impl InterruptState {
             Request::Install(_) => {
                 if let Request::Install(program) = core::mem::replace(request, Request::None) {
                     reply.1 = self.control_loop.install(program);
+                    self.io.connect_third_legs(self.control_loop.three_phase_axes());
                 }
             }
             Request::Command(command) => {
