@@ -17,14 +17,14 @@ const POLE_PAIRS: u8 = 7;
 /// Electrical angle of the rotor at count zero, rad.
 const OFFSET: f64 = 1.0;
 
-fn motor(ratio: f32) -> Motor<f32> {
+fn motor() -> Motor<f32> {
     Motor {
         torque_constant: 0.09,
         resistance: 2.5,
         inductance: 1.0e-3,
         back_emf: 0.06,
         max_current: 3.0,
-        winding: Winding::ThreePhase { pole_pairs: POLE_PAIRS, ratio },
+        winding: Winding::ThreePhase { pole_pairs: POLE_PAIRS, ratio: 1.0 },
         verified: true,
     }
 }
@@ -34,6 +34,8 @@ struct Rig {
     stage: MotorStage,
     motor: Motor<f32>,
     dead_time: f64,
+    /// Leg of each phase.
+    wiring: [usize; 3],
     /// Joint angle (rad) and speed (rad/s).
     angle: f64,
     speed: f64,
@@ -48,7 +50,7 @@ fn electrical(motor: &Motor<f32>, angle: f64) -> f64 {
 }
 
 impl Rig {
-    fn new(ratio: f32, speed: f64, dead_time: f64) -> Self {
+    fn new(exchanged: bool, speed: f64, dead_time: f64) -> Self {
         let bridge = Bridge {
             carrier_hz: CARRIER_HZ,
             dead_time: dead_time as f32,
@@ -56,11 +58,14 @@ impl Rig {
             current_sensed: true,
             legs: 3,
         };
-        let motor = motor(ratio);
+        let motor = motor();
         let mut stage = MotorStage::new(&motor, &bridge, 10.0);
         stage.set_encoder((TAU / COUNTS_PER_TURN) as f32);
-        stage.three_phase_mut().unwrap().set_frame(Frame::Rotor(BinaryAngle::from_radians(OFFSET)));
-        Self { stage, motor, dead_time, angle: 0.0, speed, currents: [0.0; 3], legs: [0.5; 3] }
+        // Seen through exchanged phases, the angle has the other sign and the torque too.
+        let electrical = if exchanged { TAU / 2.0 - OFFSET } else { OFFSET };
+        stage.align(BinaryAngle::from_radians(electrical), 0, exchanged);
+        let wiring = if exchanged { [0, 2, 1] } else { [0, 1, 2] };
+        Self { stage, motor, dead_time, wiring, angle: 0.0, speed, currents: [0.0; 3], legs: [0.5; 3] }
     }
 
     /// Advances the motor by half a carrier period.
@@ -71,7 +76,8 @@ impl Rig {
         for _ in 0..STEPS {
             let lost = self.dead_time * f64::from(CARRIER_HZ * BUS_VOLTS);
             let legs: [f64; 3] = std::array::from_fn(|i| {
-                self.legs[i] * f64::from(BUS_VOLTS) - lost * self.currents[i] / (self.currents[i].abs() + 1e-3)
+                self.legs[self.wiring[i]] * f64::from(BUS_VOLTS)
+                    - lost * self.currents[i] / (self.currents[i].abs() + 1e-3)
             });
             let neutral = legs.iter().sum::<f64>() / 3.0;
             let at = electrical(&self.motor, self.angle + 0.5 * h * self.speed);
@@ -99,7 +105,7 @@ impl Rig {
     /// Runs one carrier period from crest to crest.
     fn period(&mut self) {
         let count = (self.angle / TAU * COUNTS_PER_TURN).floor() as i32;
-        let [u, v, _] = self.currents.map(|current| current as f32);
+        let [u, v, _] = self.wiring.map(|phase| self.currents[phase] as f32);
         let (current, _) = self.stage.read(0.5 * (u - v), u + v, count);
         let speed = self.speed as f32;
         let drive = self.stage.drive(&Supply::of(BUS_VOLTS), current, speed, false);
@@ -115,9 +121,9 @@ impl Rig {
 
 #[test]
 fn the_quadrature_current_follows_the_torque_at_any_speed_and_direction() {
-    for (ratio, dead_time) in [(1.0, 0.0), (-1.0, 0.0), (1.0, 300e-9)] {
+    for (exchanged, dead_time) in [(false, 0.0), (true, 0.0), (false, 300e-9)] {
         for speed in [0.0, 10.0, -40.0] {
-            let mut rig = Rig::new(ratio, speed, dead_time);
+            let mut rig = Rig::new(exchanged, speed, dead_time);
             for torque in [0.09, -0.18] {
                 rig.stage.command(torque);
                 for _ in 0..200 {
@@ -127,7 +133,7 @@ fn the_quadrature_current_follows_the_torque_at_any_speed_and_direction() {
                 let wanted = f64::from(torque / 0.09);
                 assert!(
                     (quadrature - wanted).abs() < 0.02 && direct.abs() < 0.03,
-                    "{ratio} {speed} {dead_time}: {quadrature} A for {wanted} A, direct {direct} A"
+                    "{exchanged} {speed} {dead_time}: {quadrature} A for {wanted} A, direct {direct} A"
                 );
             }
         }
@@ -136,7 +142,7 @@ fn the_quadrature_current_follows_the_torque_at_any_speed_and_direction() {
 
 #[test]
 fn a_step_is_complete_after_one_carrier_period_without_overshoot() {
-    let mut rig = Rig::new(1.0, 0.0, 0.0);
+    let mut rig = Rig::new(false, 0.0, 0.0);
     rig.stage.command(0.02);
     // The voltage applies from the valley in the first period to the valley in the second.
     rig.period();
@@ -152,7 +158,7 @@ fn a_step_is_complete_after_one_carrier_period_without_overshoot() {
 #[test]
 fn the_direct_axis_keeps_its_voltage_when_the_bus_ends() {
     // 24 V/√3 less the margin is 12.7 V; the back-EMF of 190 rad/s is 11.4 V.
-    let mut rig = Rig::new(1.0, 190.0, 0.0);
+    let mut rig = Rig::new(false, 190.0, 0.0);
     rig.stage.command(0.27);
     for _ in 0..2000 {
         rig.period();
@@ -163,7 +169,7 @@ fn the_direct_axis_keeps_its_voltage_when_the_bus_ends() {
 
 #[test]
 fn a_motor_without_a_known_frame_receives_no_voltage() {
-    let mut rig = Rig::new(1.0, 0.0, 0.0);
+    let mut rig = Rig::new(false, 0.0, 0.0);
     rig.stage.three_phase_mut().unwrap().set_frame(Frame::Unknown);
     rig.stage.command(0.09);
     for _ in 0..10 {
@@ -175,7 +181,7 @@ fn a_motor_without_a_known_frame_receives_no_voltage() {
 #[test]
 fn a_fixed_frame_pulls_the_rotor_by_the_cosine_of_its_angle() {
     for turn in [0.0, 0.7, 2.0, -1.2] {
-        let mut rig = Rig::new(1.0, 0.0, 0.0);
+        let mut rig = Rig::new(false, 0.0, 0.0);
         rig.stage.three_phase_mut().unwrap().set_frame(Frame::Fixed(BinaryAngle::from_radians(OFFSET + turn)));
         rig.stage.command(0.09);
         for _ in 0..100 {

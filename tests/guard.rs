@@ -201,7 +201,9 @@ fn origin(fault: Fault) -> Origin {
         | Fault::SupplyDip
         | Fault::ImageDamaged
         | Fault::RamDamaged
-        | Fault::WrongBoard => Report,
+        | Fault::WrongBoard
+        // A three-phase motor, which this rig does not have.
+        | Fault::PolePairs => Report,
     }
 }
 
@@ -238,7 +240,7 @@ fn off_time(fault: Fault) -> &'static str {
         Fault::PowerLimit => "by a mean over 0.1 s",
         Fault::PolarityNoMotion => "when its torque has grown and alternated in vain: some seconds",
         Fault::PolarityUnrest => "never on: a joint is waited for without torque",
-        Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch => {
+        Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch | Fault::PolePairs => {
             "when the joint was swung: some seconds"
         }
         Fault::MotorModel => "as the loop's integrator grows: some 0.2 ms",

@@ -363,6 +363,7 @@ pub fn injection(fault: Fault) -> Injection {
             },
             30_000,
         ),
+        Fault::PolePairs => Cause::Elsewhere("crates/sim/tests/brushless.rs"),
         Fault::ResistanceMismatch => chip(
             "a winding with twice the resistance in the file, in the polarity check",
             || rig_with_other_motor(|motor| motor.resistance *= 2.0),

@@ -5,6 +5,7 @@
 //! is wrong, and a joint with a dead encoder swings about its place instead of running away. If the torque that acted
 //! is roughly the file's, a second swing measures it well (docs/safety.md, "What is measured before a board arms").
 
+mod alignment;
 mod swing;
 
 use super::ControlLoop;
@@ -17,6 +18,7 @@ use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
+use alignment::Alignment;
 use core::ops::DerefMut;
 use swing::{Results, Swing, effective_inertia, swing_angle};
 
@@ -70,6 +72,8 @@ pub(super) struct PolarityCheck {
     /// Part of the comparison that the next step runs; 0 while the joint swings.
     part: u8,
     results: Results,
+    /// Alignment of the joint's motor, if it has three phases.
+    alignment: Alignment,
     /// Angles of all joints at the last sample, rad.
     q: [f32; MAX_JOINTS],
     /// Current of the joint's motor at the last sample, A.
@@ -159,6 +163,9 @@ where
             }
             return none;
         }
+        if self.polarity.alignment.moves() {
+            return self.move_joint(moved[i]);
+        }
         // Each part below has a step of its own, because steps at high rates have little time.
         if swung && self.polarity.part == 0 {
             return self.swing(&moved, &counts);
@@ -167,7 +174,9 @@ where
             (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
                 self.polarity.effective_inertia = effective_inertia(i, inertia, self.count());
-                self.begin_first_swing();
+                if !self.begin_aligning_swing() {
+                    self.begin_first_swing();
+                }
             }
             (None, None) if self.is_at_rest() => {
                 if self.polarity.poses_checked < 1 << self.joint_count {

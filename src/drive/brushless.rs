@@ -12,7 +12,7 @@
 use super::brushed::Axis;
 use super::stage::{Bridge, MAX_DUTY, Stage, Supply};
 use crate::math::{BinaryAngle, clamp, sqrt, table_sin_cos};
-use crate::model::motor::Motor;
+use crate::model::motor::{Motor, Winding};
 
 /// Voltage of a phase over the voltage between two phases, 1/√3.
 const PHASE_SHARE: f32 = 0.577_350_26;
@@ -24,6 +24,7 @@ const DEAD_TIME_KNEE: f32 = 0.1;
 const MIN_COUNTS_PER_TURN: f32 = 60.0;
 /// Units of a binary angle in a turn.
 const TURN: f32 = 4_294_967_296.0;
+const HALF_TURN: u32 = 1 << 31;
 
 /// Returns true if a count that turns the field by this electrical angle (rad) is fine enough for commutation.
 pub(crate) fn resolves(angle_per_count: f32) -> bool {
@@ -53,8 +54,11 @@ pub struct ThreePhase {
     angle: BinaryAngle,
     /// Measured current of the direct axis, A.
     direct_current: f32,
-    /// Electrical turns per turn of the joint, with the direction's sign.
+    /// Electrical turns per turn of the joint, positive.
     electrical_ratio: f32,
+    /// -1 if two phases are exchanged, so that the second coordinate of the stator's vectors is mirrored; otherwise 1.
+    mirror: f32,
+    pole_pairs: f32,
     inductance: f32,
     /// Carrier period, s.
     period: f32,
@@ -85,10 +89,13 @@ impl ThreePhase {
     /// Makes the direct axis of a motor, `None` for a brushed motor.
     pub(super) fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Option<Self> {
         let electrical_ratio = motor.electrical_ratio()?;
+        let Winding::ThreePhase { pole_pairs, .. } = motor.winding else { return None };
         let axis = Motor { back_emf: 0.0, ..*motor };
         Some(Self {
             direct: Axis::new(&axis, bridge, max_current).without_dead_time(),
             electrical_ratio,
+            mirror: 1.0,
+            pole_pairs: pole_pairs.into(),
             inductance: motor.inductance,
             period: 1.0 / bridge.carrier_hz.max(1.0),
             dead_time_share: bridge.dead_time * bridge.carrier_hz,
@@ -101,6 +108,25 @@ impl ThreePhase {
     pub(super) fn set_encoder(&mut self, radians_per_count: f32) {
         let angle = self.electrical_ratio * radians_per_count;
         self.angle_per_count = if resolves(angle) { (angle * (TURN / core::f32::consts::TAU)) as i32 } else { 0 };
+    }
+
+    /// Returns the electrical turns per turn of the joint, positive.
+    pub(super) fn electrical_ratio(&self) -> f32 {
+        self.electrical_ratio
+    }
+
+    pub(super) fn pole_pairs(&self) -> f32 {
+        self.pole_pairs
+    }
+
+    /// Implements [`Stage::align`]. If the phases are exchanged, the vectors of the stator are mirrored, so that the motor
+    /// turns forward in all other equations. Its torque also had the other sign in the standing frame in which
+    /// `electrical` was measured.
+    pub(super) fn align(&mut self, BinaryAngle(electrical): BinaryAngle, count: i32, reversed: bool) {
+        self.mirror = if reversed { -1.0 } else { 1.0 };
+        let forward = if reversed { HALF_TURN.wrapping_sub(electrical) } else { electrical };
+        let turned = count.wrapping_mul(self.angle_per_count) as u32;
+        self.frame = Frame::Rotor(BinaryAngle(forward.wrapping_sub(turned)));
     }
 
     pub(super) fn assume_alignment(&mut self, offset: f32) {
@@ -119,7 +145,7 @@ impl ThreePhase {
 
     /// Sets the frame of both loops.
     pub fn set_frame(&mut self, frame: Frame) {
-        self.frame = frame;
+        (self.frame, self.mirror) = (frame, 1.0);
     }
 
     /// Returns the frame of both loops.
@@ -137,7 +163,7 @@ impl ThreePhase {
             Frame::Rotor(BinaryAngle(offset)) => BinaryAngle(electrical.wrapping_add(offset)),
         };
         // u = sum/2 + half_difference, v = sum/2 - half_difference, and the three currents add up to zero.
-        let stator = [0.5 * sum + half_difference, PHASE_SHARE * (1.5 * sum - half_difference)];
+        let stator = [0.5 * sum + half_difference, self.mirror * PHASE_SHARE * (1.5 * sum - half_difference)];
         let (sin, cos) = table_sin_cos(self.angle);
         let [direct, quadrature] = rotated(stator, (-sin, cos));
         self.direct_current = direct;
@@ -171,8 +197,12 @@ impl ThreePhase {
         let periods = if late { 1.5 } else { 1.0 };
         let ahead = electrical_speed * self.period * periods * (TURN / core::f32::consts::TAU);
         let turned = table_sin_cos(BinaryAngle(self.angle.0.wrapping_add(ahead as i32 as u32)));
-        let voltages = phases(rotated([PHASE_SHARE * direct, PHASE_SHARE * across], turned));
-        let currents = phases(rotated([0.0, quadrature.target_current()], turned));
+        let phases = |vector: [f32; 2]| {
+            let [alpha, beta] = rotated(vector, turned);
+            phases([alpha, self.mirror * beta])
+        };
+        let voltages = phases([PHASE_SHARE * direct, PHASE_SHARE * across]);
+        let currents = phases([0.0, quadrature.target_current()]);
         let compensated: [f32; 3] = core::array::from_fn(|leg| {
             voltages[leg] + self.dead_time_share * (currents[leg] / (currents[leg].abs() + DEAD_TIME_KNEE))
         });
@@ -195,7 +225,7 @@ impl ThreePhase {
     pub(super) fn inherit(&mut self, other: &Self) {
         self.direct.inherit(&other.direct);
         if self.angle_per_count == other.angle_per_count {
-            self.frame = other.frame;
+            (self.frame, self.mirror) = (other.frame, other.mirror);
         }
     }
 

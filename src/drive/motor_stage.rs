@@ -1,8 +1,9 @@
 //! The motor stage of a board, for any motor that a device file describes.
 
 use super::brushed::Axis;
-use super::brushless::ThreePhase;
+use super::brushless::{Frame, ThreePhase};
 use super::stage::{Bridge, Duty, Stage, Supply};
+use crate::math::BinaryAngle;
 use crate::model::motor::Motor;
 
 /// A brushed motor, or a three-phase motor whose quadrature axis makes the torque.
@@ -59,6 +60,26 @@ impl Stage for MotorStage {
     fn set_encoder(&mut self, radians_per_count: f32) {
         if let Some(three_phase) = &mut self.three_phase {
             three_phase.set_encoder(radians_per_count);
+        }
+    }
+
+    fn electrical_ratio(&self) -> f32 {
+        self.three_phase.map_or(1.0, |three_phase| three_phase.electrical_ratio())
+    }
+
+    fn pole_pairs(&self) -> f32 {
+        self.three_phase.map_or(1.0, |three_phase| three_phase.pole_pairs())
+    }
+
+    fn set_frame(&mut self, frame: Frame) {
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.set_frame(frame);
+        }
+    }
+
+    fn align(&mut self, electrical: BinaryAngle, count: i32, reversed: bool) {
+        if let Some(three_phase) = &mut self.three_phase {
+            three_phase.align(electrical, count, reversed);
         }
     }
 

@@ -4,7 +4,8 @@
 //! thermal budget to any stage, such as an amplifier with a current set-point (tests/stages.rs).
 
 use super::bits::margin_bits_between;
-use crate::math::clamp;
+use super::brushless::Frame;
+use crate::math::{BinaryAngle, clamp};
 use crate::model::motor::Motor;
 use core::fmt::Debug;
 use postcard_schema::Schema;
@@ -89,6 +90,23 @@ pub trait Stage: Copy + Debug + Default {
     fn is_three_phase(&self) -> bool {
         false
     }
+
+    /// Returns the electrical turns per turn of the joint of a three-phase motor, positive.
+    fn electrical_ratio(&self) -> f32 {
+        1.0
+    }
+
+    /// Returns the number of pole pairs of a three-phase motor.
+    fn pole_pairs(&self) -> f32 {
+        1.0
+    }
+
+    /// Sets the frame in which a three-phase motor receives its current.
+    fn set_frame(&mut self, _frame: Frame) {}
+
+    /// Lets the frame of a three-phase motor turn with its rotor, which has this electrical angle at a count. `reversed`
+    /// if the electrical angle falls while the joint's angle grows.
+    fn align(&mut self, _electrical: BinaryAngle, _count: i32, _reversed: bool) {}
 
     /// Assumes that the electrical angle of a three-phase motor is zero where its joint's angle is zero. `offset` is the
     /// joint's angle at count zero, rad. Only for simulated motors.

@@ -183,6 +183,9 @@ faults! {
     /// A winding's resistance differs from the resistance in the device file; value: Ω.
     ResistanceMismatch = 40, "a motor's resistance is not the one in its device file",
         "measure the winding at the motor's terminals: correct the device file if it is wrong; otherwise the current sensor or a contact is at fault";
+    /// A three-phase motor has another number of pole pairs than its device file; value: pole pairs found.
+    PolePairs = 41, "a motor's pole pairs are not those of its device file",
+        "the value is the number found: correct pole_pairs, ratio and counts_per_turn in the device file; take your hands off, then check again";
 }
 
 impl Fault {

@@ -11,6 +11,7 @@
 
 use crate::control::ControlLoop;
 use crate::control::joints::Torques;
+use crate::control::polarity::alignment::MAX_SWING_ELECTRICAL;
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
@@ -44,6 +45,11 @@ const MAX_STATIC_FRICTION_RATIO: f32 = 3.0;
 const SECOND_SWING_FORCE_SHARE: f32 = 0.6;
 /// Largest share of the motor's torque that may accelerate the inertia in the second swing.
 const SECOND_SWING_TORQUE_SHARE: f32 = 0.25;
+/// Smallest ratio of the torque that accelerates the inertia to the file's friction.
+const FRICTION_RATIO: f32 = 1.5;
+/// The same ratio in a standing frame, in which only a part of the current makes torque, and a joint that sticks at both
+/// ends of its swing would change the measured cosine.
+const ALIGNING_FRICTION_RATIO: f32 = 4.0;
 /// Largest excess over the torque that moved the joint, as a share of the torque that accelerates the file's inertia.
 const MAX_SWING_TORQUE_RATIO: f32 = 1.2;
 /// Ratio of the second swing's torque to the torque that moved the joint.
@@ -95,6 +101,8 @@ type Phasor = [f32; 2];
 /// The swing of a joint. A turn is one period of the swing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Swing {
+    /// True for a swing in a standing frame, which measures the cosine of the frame's angle.
+    aligning: bool,
     /// True for the second swing.
     last: bool,
     /// True for a swing that measures only the winding.
@@ -102,7 +110,7 @@ pub(super) struct Swing {
     /// Present amplitude of the torque, N m.
     torque: f32,
     /// Largest allowed amplitude of the torque, N m.
-    max_torque: f32,
+    pub(super) max_torque: f32,
     /// Growth of the torque, N m/s.
     growth: f32,
     /// Angular frequency, rad/s.
@@ -119,6 +127,8 @@ pub(super) struct Swing {
     stiffness: f32,
     /// Damping of the joint's return to its initial angle, N m s/rad.
     damping: f32,
+    /// Distance of the joint from its initial angle at the beginning of the swing, rad.
+    begin: f32,
     /// Mean distance of the joint from its initial angle over about a sixth of a turn, rad.
     mean: f32,
     /// Work of the commanded torque on the joint, J; negative if the motor turns the wrong way.
@@ -176,8 +186,14 @@ where
         let (i, inertia) = (self.axis(), self.polarity.effective_inertia);
         let Some(program) = self.program.as_ref() else { return };
         let (worth, friction) = (self.polarity.force_per_torque, program.coulomb[i].abs());
-        let angle = swing_angle(program.radians_per_count[i]);
-        let rate = self.swing_rate(FIRST_SWING_FORCE / worth, inertia * angle, angle, SWING_RATE_RANGE.1);
+        let aligning = self.polarity.alignment.is_under_way(&self.joints[i].stage);
+        let mut angle = swing_angle(program.radians_per_count[i]);
+        if aligning {
+            angle = angle.min(MAX_SWING_ELECTRICAL / self.joints[i].stage.electrical_ratio());
+        }
+        let friction_ratio = if aligning { ALIGNING_FRICTION_RATIO } else { FRICTION_RATIO };
+        let most = SWING_RATE_RANGE.1;
+        let rate = self.swing_rate(FIRST_SWING_FORCE / worth, inertia * angle, angle, most, friction_ratio);
         let inert = inertia * angle * rate * rate;
         // A joint of this inertia with a dead encoder swings by at most a few times the angle.
         let unstated = (MAX_FORCE_WITHOUT_MOTION / worth).min(friction + 2.0 * inert);
@@ -185,7 +201,9 @@ where
         let torque = (INITIAL_TIP_FORCE / worth).min(0.25 * inert);
         let (stiffness, damping) = spring_and_damper(inertia, 0.4 * rate);
         let seconds = core::f32::consts::TAU / rate;
-        let swing = Swing { torque, max_torque: most, rate, seconds, angle, stiffness, damping, ..Swing::default() };
+        let begin = self.polarity.initial.map_or(0.0, |from| self.polarity.q[i] - from[i]);
+        let known = Swing { aligning, begin, mean: begin, last_moved: begin, ..Swing::default() };
+        let swing = Swing { torque, max_torque: most, rate, seconds, angle, stiffness, damping, ..known };
         self.polarity.swing = Some(swing);
     }
 
@@ -197,7 +215,7 @@ where
         let most = (SECOND_SWING_FORCE_SHARE * self.rules.limits.tip_force / self.polarity.force_per_torque)
             .min(SECOND_SWING_TORQUE_SHARE * self.joints[i].stage.max_torque());
         let fastest = if winding { MAX_SWING_RATE } else { SWING_RATE_RANGE.1 };
-        let rate = self.swing_rate(most, inertia * angle, angle, fastest);
+        let rate = self.swing_rate(most, inertia * angle, angle, fastest, FRICTION_RATIO);
         let inert = (inertia * angle * rate * rate).min(most);
         // The torque must exceed the static friction, which would otherwise hold the joint at either end.
         let held = SECOND_SWING_FRICTION_RATIO * before.breakaway_torque.unwrap_or(0.0);
@@ -220,12 +238,12 @@ where
 
     /// Returns the angular frequency (rad/s) at which a torque (N m) swings the joint by an angle (rad), given inertia
     /// times angle; at most `most` unless friction needs more. Uses the friction if it exceeds the torque.
-    fn swing_rate(&self, torque: f32, inertia_angle: f32, angle: f32, most: f32) -> f32 {
+    fn swing_rate(&self, torque: f32, inertia_angle: f32, angle: f32, most: f32, friction_ratio: f32) -> f32 {
         let i = self.axis();
         let Some(program) = self.program.as_ref() else { return SWING_RATE_RANGE.0 };
         let of = |torque: f32| sqrt(torque / inertia_angle.max(f32::MIN_POSITIVE));
         // Friction above the torque that accelerates the inertia would hide the inertia.
-        let wanted = of(torque).min(most).max(of(1.5 * program.coulomb[i].abs()).min(MAX_SWING_RATE));
+        let wanted = of(torque).min(most).max(of(friction_ratio * program.coulomb[i].abs()).min(MAX_SWING_RATE));
         let between_counts = MIN_SWING_COUNTS * program.radians_per_count[i].abs();
         let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] / angle)
             .min(self.joints[i].stage.speed_of_back_emf(MAX_INITIAL_BACK_EMF).abs() / between_counts)
@@ -282,7 +300,7 @@ where
         let passes = |phase: f32| was_at <= phase && phase < now_at;
         swing.seconds += pace;
         if swing.breakaway_torque.is_none()
-            && moved[i].abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs())
+            && (moved[i] - swing.begin).abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs())
         {
             // From here on the joint needs at most this torque plus the torque that accelerates the file's inertia.
             swing.breakaway_torque = Some(swing.torque);
@@ -310,11 +328,18 @@ where
                 swing.growth = 0.0;
             }
             swing.torque = (swing.torque + swing.growth * pace).lesser(swing.max_torque);
+        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 && polarity.alignment.may_stand_still() {
+            polarity.part = 1;
+            return Torques::default();
         } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 {
             self.trip(Fault::PolarityNoMotion, Some(i as u8), moved[i]);
             return Torques::default();
         }
-        let back = -swing.stiffness * moved[i] - swing.damping * speed;
+        let mut back = -swing.stiffness * moved[i] - swing.damping * speed;
+        if polarity.alignment.may_stand_still() && swing.aligning {
+            // Only the work so far shows the sign of the torque in this frame.
+            back *= if swing.work > 0.0 { 1.0 } else { -1.0 };
+        }
         let fading =
             (1.0 - (turns - TURNS_BEFORE_SUMS - TURNS_SUMMED - TURNS_BEFORE_FADING) / TURNS_FADING).clamp(0.0, 1.0);
         let wanted = clamp(fading * swing.torque * cosine + back, swing.max_torque);
@@ -327,6 +352,13 @@ where
         let part = self.polarity.part;
         self.polarity.part = part + 1;
         match part {
+            1 if swing.aligning => {
+                self.compare_torques(swing);
+                let (i, (low, high)) = (self.axis(), swing.motion_range[self.axis()]);
+                let place = self.polarity.initial.map_or(0.0, |from| from[i]) + 0.5 * (low + high);
+                let cosine = if swing.breakaway_torque.is_some() { self.polarity.results.torque_ratio } else { 0.0 };
+                self.continue_alignment(cosine, place);
+            }
             1 => self.compare_torques(swing),
             2 => self.compare_resistance(swing),
             3 => self.judge_torque(swing),
