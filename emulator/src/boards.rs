@@ -50,6 +50,8 @@ pub struct MotorWires {
     pub ends: [HalfBridge; 2],
     /// Pins of the gate signals.
     pub gates: [Pin; 4],
+    /// Timer channel (1 to 3) of a third half bridge and the pins of its gate signals, for three-phase motors.
+    pub third: Option<(u8, [Pin; 2])>,
     /// Alternate function that connects `gates` to the timer.
     pub function: u8,
     /// Current sensors: converter channel and scale (V/A, positive for a current from the first end to the second). If
@@ -110,6 +112,7 @@ static ODRIVE_V3: Wiring = Wiring {
             timer: 1,
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('A', 9), Pin('A', 10), Pin('B', 14), Pin('B', 15)],
+            third: Some((1, [Pin('A', 8), Pin('B', 13)])),
             function: 1,
             sensors: &[(10, SHUNT_OHMS), (11, -SHUNT_OHMS)],
         },
@@ -117,6 +120,7 @@ static ODRIVE_V3: Wiring = Wiring {
             timer: 8,
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('C', 7), Pin('C', 8), Pin('B', 0), Pin('B', 1)],
+            third: Some((1, [Pin('C', 6), Pin('A', 7)])),
             function: 3,
             sensors: &[(13, SHUNT_OHMS), (12, -SHUNT_OHMS)],
         },
@@ -215,7 +219,7 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
 
 const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) -> MotorWires {
     let ends = [HalfBridge::Channel(channel), HalfBridge::Complement(channel)];
-    MotorWires { timer: 1, ends, gates: [p, n, p, n], function: 1, sensors }
+    MotorWires { timer: 1, ends, gates: [p, n, p, n], third: None, function: 1, sensors }
 }
 
 impl Wiring {

@@ -200,7 +200,9 @@ impl Hardware {
             self.driver(nth).enable(enabled);
         }
         for (axis, motor) in wiring.motors.iter().enumerate() {
-            self.motor_inputs[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
+            let has_phases = self.plant.phase_currents(axis).is_some();
+            let span = &spans[usize::from(motor.timer == 8)];
+            self.motor_inputs[axis] = self.drive(wiring, motor, span, enabled, has_phases);
         }
         self.peaks.bridge_was_on |= !self.bridges_float();
         self.peaks.power_pin_was_driven =
@@ -217,7 +219,15 @@ impl Hardware {
         self.set_levels(wiring, at);
     }
 
-    fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> MotorInput {
+    /// Returns the input of a motor, which has three phases if `has_phases`.
+    fn drive(
+        &mut self,
+        wiring: &Wiring,
+        motor: &MotorWires,
+        span: &Span,
+        enabled: bool,
+        has_phases: bool,
+    ) -> MotorInput {
         let joined = motor.gates.iter().all(|&gate| self.alternate_function(gate) == Some(motor.function));
         if !enabled || !joined || span.length_ns == 0 {
             return MotorInput::Floating;
@@ -229,8 +239,16 @@ impl Hardware {
             HalfBridge::Channel(n) => span.active_ns[usize::from(n) - 1] as f64,
             HalfBridge::Complement(n) => (span.enabled_ns - span.active_ns[usize::from(n) - 1]) as f64,
         };
-        let [first, second] = motor.ends;
-        MotorInput::Duty((share(first) - share(second)) / span.length_ns as f64)
+        let [first, second] = motor.ends.map(|end| share(end) / span.length_ns as f64);
+        match motor.third.filter(|_| has_phases) {
+            Some((channel, gates)) => {
+                // A leg without its gates floats, and so does the star of windings.
+                let joined = gates.iter().all(|&gate| self.alternate_function(gate) == Some(motor.function));
+                let third = share(HalfBridge::Channel(channel)) / span.length_ns as f64;
+                if joined { MotorInput::Legs([first, second, third]) } else { MotorInput::Floating }
+            }
+            None => MotorInput::Duty(first - second),
+        }
     }
 
     /// Returns the alternate function that a pin has now.
@@ -245,8 +263,13 @@ impl Hardware {
         let mut nth = 0;
         for (axis, motor) in wiring.motors.iter().enumerate() {
             let gain = if wiring.driver_selects.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
-            for &(channel, volts_per_ampere) in motor.sensors {
-                let current = self.faults.current(&currents, axis, nth);
+            let phases = self.plant.phase_currents(self.faults.motors[axis]);
+            for (leg, &(channel, volts_per_ampere)) in motor.sensors.iter().enumerate() {
+                // The second sensor of a brushed motor measures the returning current.
+                let (current, volts_per_ampere) = match phases {
+                    Some(phases) => (self.faults.leg_current(phases, axis, leg), volts_per_ampere.abs()),
+                    None => (self.faults.current(&currents, axis, nth), volts_per_ampere),
+                };
                 let volts = gain.map_or(0.0, |gain| {
                     wiring.zero_current_volts() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });

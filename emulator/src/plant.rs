@@ -14,6 +14,10 @@ pub trait Plant: Debug + Send {
     fn index(&self) -> [bool; 3];
     /// Returns the winding currents, A. A positive duty makes a positive current.
     fn currents(&self) -> [f64; 3];
+    /// Returns the phase currents of a three-phase motor, A.
+    fn phase_currents(&self, _axis: usize) -> Option<[f64; 3]> {
+        None
+    }
     /// Returns the bus voltage, V.
     fn bus_voltage(&self) -> f64;
     /// Returns the simulated device, if the plant is one.
@@ -34,6 +38,9 @@ impl Plant for SimulatedDevice {
     }
     fn currents(&self) -> [f64; 3] {
         SimulatedDevice::currents(self)
+    }
+    fn phase_currents(&self, axis: usize) -> Option<[f64; 3]> {
+        SimulatedDevice::phase_currents(self, axis)
     }
     fn bus_voltage(&self) -> f64 {
         SimulatedDevice::bus_voltage(self)

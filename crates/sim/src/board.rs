@@ -242,8 +242,8 @@ impl SimulatedBoard {
         let mut imbalance = Currents::default();
         for axis in 0..self.device.joints() {
             if let Some(phases) = self.device.phase_currents(faults.motors[axis]) {
-                let (half_difference, sum) = faults.leg_currents(phases, axis);
-                (currents[axis], imbalance[axis]) = (half_difference as f32, sum as f32);
+                let [first, second] = [0, 1].map(|leg| faults.leg_current(phases, axis, leg) as f32);
+                (currents[axis], imbalance[axis]) = (0.5 * (first - second), first + second);
             }
         }
         let bus_voltage = faults.bus_reading.unwrap_or(self.device.bus_voltage()) as f32;

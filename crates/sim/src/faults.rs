@@ -84,16 +84,12 @@ impl BoardFaults {
         let current = self.sensor_frozen[axis].unwrap_or(currents[self.motors[axis]] * self.sign(axis));
         self.sensor_gain[nth] * current + self.sensor_offset[nth]
     }
-    /// Returns half the difference and the sum of the readings of the first two legs of the axis, for these phase
-    /// currents of its motor, A. Each leg has a sensor.
+    /// Returns the reading of the sensor of a leg (0 or 1) of the axis, for these phase currents of its motor, A.
     #[must_use]
-    pub fn leg_currents(&self, phases: [f64; 3], axis: usize) -> (f64, f64) {
-        let legs = if self.reversed[axis] { [phases[0], phases[2]] } else { [phases[0], phases[1]] };
-        let [first, second]: [f64; 2] = core::array::from_fn(|leg| {
-            let nth = (2 * axis + leg).min(self.sensor_gain.len() - 1);
-            self.sensor_gain[nth] * self.sensor_frozen[axis].unwrap_or(legs[leg]) + self.sensor_offset[nth]
-        });
-        (0.5 * (first - second), first + second)
+    pub fn leg_current(&self, phases: [f64; 3], axis: usize, leg: usize) -> f64 {
+        let phase = if self.reversed[axis] && leg == 1 { phases[2] } else { phases[leg] };
+        let nth = (2 * axis + leg).min(self.sensor_gain.len() - 1);
+        self.sensor_gain[nth] * self.sensor_frozen[axis].unwrap_or(phase) + self.sensor_offset[nth]
     }
     /// Returns the encoders' `nth` reading for the true `counts`.
     #[must_use]

@@ -11,6 +11,7 @@ static TOY: Wiring = Wiring {
         timer: 1,
         ends: [HalfBridge::Channel(1), HalfBridge::Complement(1)],
         gates: [Pin('A', 8), Pin('B', 13), Pin('A', 8), Pin('B', 13)],
+        third: None,
         function: 1,
         sensors: &[(10, 0.2)],
     }],
