@@ -2,10 +2,11 @@
 
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::motor::Winding;
-use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
-use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
+use haptic_host::scene_file::SceneFile;
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, SimulatedBoard, Waypoint};
 use std::time::Duration;
 
 const PADDLE: &str = r#"
@@ -88,4 +89,34 @@ fn a_wrong_number_of_pole_pairs_is_refused_with_the_number_found() {
         let Some((Fault::PolePairs, found)) = fault else { panic!("{pole_pairs}: {fault:?}") };
         assert!((found - f32::from(pole_pairs)).abs() < 0.5, "{found} of {pole_pairs}");
     }
+}
+
+#[test]
+fn a_wall_on_a_three_phase_motor_is_as_stiff_as_its_gain() {
+    let (shared, mut board, fault) = checked(&description(), 1.0, true);
+    assert_eq!(fault, None);
+    let text = "rate_hz = 20000\n[[wall]]\npoint = [-0.01]\nnormal = [1.0]\nstiffness = 400.0\ndamping = 1.0\n";
+    let scene =
+        SceneFile::parse(text, "scene", 1).expect("a valid scene").scene().expect("a scene of the board's size");
+    board.set_scene(&scene).expect("the board takes the scene");
+    let now = shared.lock().time();
+    let push = [0.0, 0.3, 10.0].map(|time| Waypoint { time, value: [if time > 0.0 { -1.0 } else { 0.0 }, 0.0, 0.0] });
+    board.arm().expect("the device is ready");
+    {
+        let mut simulated = shared.lock();
+        let tip = simulated.device().tip();
+        let hand = Hand::new(HandSettings::default(), Intent::Push(push.to_vec()), tip, now);
+        simulated.device_mut().set_hand(hand);
+    }
+    board.keep_alive();
+    for _ in 0..30 {
+        shared.lock().run(0.1);
+        board.rows(Duration::ZERO).expect("a connection");
+    }
+    let simulated = shared.lock();
+    assert_eq!(simulated.status().state, State::Armed, "{:?}", simulated.status().fault);
+    // Friction holds up to 0.003 N m / 0.08 m.
+    let (depth, force) = (-0.01 - simulated.device().tip()[0], simulated.device().torque()[0] / 0.08);
+    assert!((force - 1.0).abs() < 0.05, "{force} N");
+    assert!((depth * 400.0 - force).abs() < 0.02 * force, "{depth} m at {force} N");
 }
