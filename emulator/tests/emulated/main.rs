@@ -3,6 +3,7 @@
 
 mod arming;
 mod boot;
+mod brushless;
 mod equality;
 mod faults;
 mod force;
