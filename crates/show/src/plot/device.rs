@@ -118,11 +118,8 @@ pub fn draw(
         mechanism_notes(description, &panels).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     // A link that is drawn short has no room for its name; the notes name it. A link without length is not drawn.
-    let has_room = |bar: &Bar| {
-        let (across, up) = (bar.to.0 - bar.from.0, bar.to.1 - bar.from.1);
-        !page.is_narrow() && across.hypot(up) * pixels > 40.0
-    };
-    // Links that are alike have one name, where there is most room for it.
+    let drawn_length = |bar: &Bar| pixels * (bar.to.0 - bar.from.0).hypot(bar.to.1 - bar.from.1);
+    // Links that are alike have one name, in the view that shows the link longest.
     let mut names: Vec<Vec<String>> = panels.iter().map(|p| vec![String::new(); p.skeleton.bars.len()]).collect();
     let mut short = Vec::new();
     let first = panels.first().map_or(&[][..], |panel| &panel.skeleton.bars);
@@ -130,8 +127,11 @@ pub fn draw(
         if bar.length < 1e-6 || first[..i].iter().any(|before| before.name == bar.name) {
             continue;
         }
-        match panels.iter().position(|panel| has_room(&panel.skeleton.bars[i])) {
-            Some(panel) => names[panel][i] = in_full(bar),
+        let lengths = panels.iter().map(|panel| drawn_length(&panel.skeleton.bars[i])).enumerate();
+        // The first of equal lengths.
+        let longest = lengths.rev().max_by(|a, b| a.1.total_cmp(&b.1));
+        match longest.filter(|(_, length)| !page.is_narrow() && *length > 40.0) {
+            Some((panel, _)) => names[panel][i] = in_full(bar),
             None => short.push(in_full(bar)),
         }
     }
@@ -181,7 +181,8 @@ fn draw_panel(
     labels.avoid(marks.iter().flat_map(|mark| mark.lines().cloned()));
     let tips = [skeleton.tip].into_iter().chain(skeleton.more_tips.iter().copied());
     let tips: Vec<Point> = tips.map(|(x, y)| frame.pixel(x, y)).collect();
-    let tip_name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
+    let is_named = !skeleton.letters.is_empty() || description.kind == Kind::Delta;
+    let tip_name = if is_named { "tip P" } else { "tip" };
     let tip_labels: Vec<_> = tips.iter().map(|tip| labels.around(*tip, 8.0, 12.5, tip_name)).collect();
     let letters: Vec<_> = (skeleton.letters.iter())
         .map(|(letter, at)| labels.around(frame.pixel(at.0, at.1), 8.0, 12.5, letter))

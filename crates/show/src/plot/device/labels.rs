@@ -142,7 +142,7 @@ impl<'a> Labels<'a> {
         let half = label.half();
         let close = self.ring(mark.at, 12.0, half);
         let outside = self.ring(mark.at, mark.radius, half);
-        self.take(label, outside.into_iter().chain(close))
+        self.take(label, close.into_iter().chain(outside))
     }
 
     /// Places the name of an axis along its line, near one of its ends.
