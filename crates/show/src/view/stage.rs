@@ -19,6 +19,7 @@ use super::message::FromPage;
 use super::picture::{FIELDS, Newest, nearest_wall};
 use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
+use super::track::Track;
 use super::world::{World, lead_hand};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::Rules;
@@ -89,6 +90,8 @@ pub struct Stage {
     last_sweep: Duration,
     last_poll: Duration,
     device: Device<f64>,
+    /// Drawn places of task coordinates that have no plane.
+    tracks: Vec<Track>,
     scene: Scene<f64>,
     /// Scene and pose when the world was first opened; the pose (rad) only if it is simulated.
     first: Scene<f32>,
@@ -172,6 +175,7 @@ impl Stage {
             last_poll: now,
             subject: Subject::on_board(device.clone(), world.file.as_ref()),
             path: torque_path(world.board.info(), &details),
+            tracks: Track::of(&device, world.file.as_ref().map(|file| &file.description)),
             device,
             scene,
             first,
