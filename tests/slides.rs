@@ -74,8 +74,7 @@ fn check(description: &Description, factor: f64) -> (Option<Fault>, f64) {
 #[test]
 fn the_polarity_check_swings_a_slide_by_millimetres() {
     for description in [slide(), turning_slide()] {
-        for (factor, expected) in
-            [(1.0, None), (-1.0, Some(Fault::PolarityWrong)), (1.5, Some(Fault::TorqueMismatch))]
+        for (factor, expected) in [(1.0, None), (-1.0, Some(Fault::PolarityWrong)), (1.5, Some(Fault::TorqueMismatch))]
         {
             let (fault, farthest) = check(&description, factor);
             assert_eq!(fault, expected, "{:?} with {factor} times the torque", description.kind);

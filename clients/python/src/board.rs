@@ -78,7 +78,7 @@ impl State {
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.velocity)
     }
-    /// Joint angles, rad, shape (3,).
+    /// Joint angles, rad, shape (3,). A slide has m, m/s and N here, in `qd` and in `torque`.
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.q)
