@@ -143,8 +143,8 @@ impl Swing {
     fn largest_motion_share(&self, axis: usize, joints: usize, lever: &[f32; MAX_JOINTS]) -> f32 {
         let mut most = 0.0;
         for (j, (low, high)) in self.motion_range.iter().enumerate().take(joints) {
-            let angle = self.angle * lever[j] / lever[axis];
-            let share = (high - low) / (if self.last && j == axis { 4.0 } else { 2.0 } * angle);
+            let limit = if self.last && j == axis { 4.0 } else { 2.0 } * self.angle * lever[j];
+            let share = (high - low) * lever[axis] / limit;
             most = share.greater(most);
         }
         most

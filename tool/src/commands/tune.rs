@@ -54,7 +54,8 @@ struct Search {
     /// Device file (TOML)
     #[arg(required = true)]
     device: Option<PathBuf>,
-    /// Joint angles in rad, travels of slides in m, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
+    /// Joint angles in rad, travels in m, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device
+    /// file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
     /// Normal of the wall, of any length [default: the normal of the wall of --scene]

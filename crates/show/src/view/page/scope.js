@@ -1,6 +1,6 @@
 // ---- scope --------------------------------------------------------------------------------------------------------
-// Telemetry signals by the first word of their label (of a slide with its unit): displayed name, unit of the axis, and factor from SI to that
-// unit.
+// Telemetry signals by the first word of their label (of a slide with its unit): displayed name, unit of the axis, and
+// factor from SI to that unit.
 const SIGNALS = {
   rendered: ["wall force", "N", 1], force: ["requested wall force", "N", 1], distance: ["distance to the wall", "mm", 1e3], velocity: ["speed along the normal", "mm/s", 1e3],
   energy: ["energy taken up", "mJ", 1e3], tip_x: ["tip x", "mm", 1e3], tip_y: ["tip y", "mm", 1e3], tip_z: ["tip z", "mm", 1e3], tip: ["tip", "mm", 1e3],
