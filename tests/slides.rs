@@ -1,12 +1,14 @@
-//! The limits and the polarity check of a slide are those of a joint that turns, at a lever of [`SLIDE_LEVER`].
+//! The limits and the polarity check of a slide are those of a joint that turns, at a lever of 0.08 m.
 
 use crate::rig::{Body, Rig, hardware, limits, paddle, rules, scene};
 use haptic_bridge::control::Command;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, JointFrame, Link};
-use haptic_bridge::model::units::SLIDE_LEVER;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
+
+/// Travel of a slide for each radian of a limit, m.
+const LEVER: f64 = 0.08;
 
 const X: JointFrame = JointFrame { axis: [1.0, 0.0, 0.0], ..JointFrame::SAME };
 
@@ -33,7 +35,7 @@ fn turning_slide() -> Description {
 
 #[test]
 fn a_slide_faster_than_its_limit_is_turned_off() {
-    let limit = f64::from(limits().speed[0] * SLIDE_LEVER);
+    let limit = LEVER * f64::from(limits().speed[0]);
     for (share, fault) in [(0.95, None), (1.5, Some(Fault::SpeedLimit))] {
         let mut rig = Rig::new(&slide(), &scene(1, &[]), hardware(), rules());
         rig.arm();
@@ -58,7 +60,7 @@ fn a_slide_that_creeps_cannot_be_homed() {
 /// largest motion of any joint at its lever, rad.
 fn check(description: &Description, factor: f64) -> (Option<Fault>, f64) {
     let mut rig = Rig::new(description, &scene(description.kind.spec().task as u8, &[]), hardware(), rules());
-    let levers: Vec<f64> = description.units().iter().map(|units| f64::from(units.lever)).collect();
+    let levers = description.joints.map(|joint| if joint.prismatic { LEVER } else { 1.0 });
     let mut body = Body::new(description);
     let mut farthest = 0.0_f64;
     rig.execute(Command::CheckPolarity).expect("ready");
