@@ -36,6 +36,7 @@ mod service;
 mod settings;
 mod several_walls;
 mod shape;
+mod slides;
 mod stages;
 mod straight_steps;
 mod takeover;

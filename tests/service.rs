@@ -13,6 +13,7 @@ use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::program::Program;
 use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::description::Description;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -287,9 +288,9 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
                 let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
                 assert_eq!((bad_limit.limit, bad_limit.joint, bad_limit.most), (name, joint, most), "{bad}");
                 assert_eq!(bad_limit.value.to_bits(), bad.to_bits(), "the refusal has the number");
-                let (words, unit) = name.words();
+                let (words, unit, _) = name.words(&JointUnits::REVOLUTE);
                 let text = Refusal::BadLimit(bad_limit).to_string();
-                assert!(text.contains(words) && text.contains(&format!("at most {most}{unit}")), "{text}");
+                assert!(text.contains(words) && text.contains(&format!("at most {most} {unit}")), "{text}");
             }
             let mut edge = rules_with_share(0.5);
             set(&mut edge.limits, axis, most);

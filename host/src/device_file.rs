@@ -18,6 +18,7 @@ use haptic_bridge::model::description::{
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::with_mechanism;
 use nalgebra::{Matrix3, SVector};
 use std::path::{Path, PathBuf};
@@ -72,9 +73,6 @@ impl DeviceFile {
             }
             match joint.motor {
                 None => missing.push(format!("{place} needs [joint.motor]")),
-                Some(_) if joint.prismatic => {
-                    missing.push(format!("{place} slides: real boards limit angles only, simulated boards take it"));
-                }
                 Some(motor) if !motor.verified => {
                     missing.push(format!("check the motor data of {place}, then write verified = true"));
                 }
@@ -387,7 +385,7 @@ fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
         inertia,
         viscous: table.number_or("viscous", Must::NotBeNegative, 0.0),
         coulomb,
-        limits: table.keep(limits(table), None),
+        limits: table.keep(limits(table, JointUnits::of(prismatic).travel), None),
         encoder: part("encoder").map(|part| encoder_of(&part, prismatic)),
         motor: part("motor").map(|part| motor_of(&part, prismatic)),
         transmission,
@@ -488,12 +486,14 @@ fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileE
     Ok(modes)
 }
 
-fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
-    match joint.numbers("limits", 2, Must::BeFinite, "lowest, highest angle in rad")?.as_deref() {
+/// Reads a joint's limits in this unit.
+fn limits(joint: &Table<'_>, unit: &str) -> Result<Option<(f64, f64)>, FileError> {
+    let meaning = if unit == "m" { "lowest, highest travel in m" } else { "lowest, highest angle in rad" };
+    match joint.numbers("limits", 2, Must::BeFinite, meaning)?.as_deref() {
         Some([low, high]) if low < high => Ok(Some((*low, *high))),
         Some([low, high]) => {
             let reason = format!("limits of {} are the wrong way round: {low} is not below {high}", joint.place());
-            Err(joint.error_at("limits", impossible(reason, "write [lowest, highest] angle in rad")))
+            Err(joint.error_at("limits", impossible(reason, format!("write [{meaning}]"))))
         }
         _ => Ok(None),
     }
@@ -532,15 +532,18 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
 fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {
     let Some(table) = top.table("home")? else { return Ok(None) };
     table.refuse_unknown_keys(&["q"]);
-    let q = table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
+    let q =
+        table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad, of a slide its travel in m")?;
     let q = table.require("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
     for (index, (angle, joint)) in q.iter().zip(joints).enumerate() {
         if let Some((low, high)) = joint.limits
             && !(low..=high).contains(angle)
         {
-            let reason = format!("home puts joint {index} at {angle} rad, outside its limits [{low}, {high}]");
+            let unit = JointUnits::of(joint.prismatic).travel;
+            let reason = format!("home puts joint {index} at {angle} {unit}, outside its limits [{low}, {high}]");
             let radians = angle.to_radians();
             let remedy = match angle.abs() > TAU && (low..=high).contains(&radians) {
+                _ if joint.prismatic => "move home or widen the limits; lengths are in metres".into(),
                 true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
                 false if low.abs().max(high.abs()) > TAU && (low.to_radians()..=high.to_radians()).contains(angle) => {
                     let [low, high] = [low, high].map(f64::to_radians);

@@ -9,6 +9,7 @@ use crate::error::on_one_line;
 use core::f64::consts::TAU;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Wall};
 use haptic_bridge::render::velocity::CutoffMeaning;
@@ -269,12 +270,12 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
 }
 
 fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismatic: bool) {
-    let [travel, viscous, coulomb] = if prismatic { ["m", "N s/m", "N"] } else { ["rad", "N m s/rad", "N m"] };
+    let units = JointUnits::of(prismatic);
     let mut into = table(entries, "[[joint]]", index);
-    into.number("viscous", joint.viscous.into(), viscous);
-    into.number("coulomb", joint.coulomb.into(), coulomb);
+    into.number("viscous", joint.viscous.into(), units.viscous);
+    into.number("coulomb", joint.coulomb.into(), units.torque);
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &to_f64(&[low, high]), travel);
+        into.numbers("limits", &to_f64(&[low, high]), units.travel);
     }
     let size = f64::from(joint.radians_per_count.abs());
     if size > 0.0 {
@@ -285,7 +286,7 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
             true => into.number("counts_per_metre", 1.0 / size, ""),
             false => into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, ""),
         }
-        into.number("offset", joint.offset.into(), travel);
+        into.number("offset", joint.offset.into(), units.travel);
         into.flag("inverted", joint.radians_per_count < 0.0);
     }
     if let Some(motor) = joint.motor {
@@ -315,7 +316,9 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
         put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
     if let Some(home) = device.home {
-        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
+        let units = device.mechanism.units();
+        let unit = if units.iter().all(|other| other == &units[0]) { units[0].travel } else { "rad or m" };
+        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), unit);
     }
     entries
 }

@@ -212,7 +212,7 @@ where
         let period = self.crests.period;
         let scale = program.radians_per_count[i];
         let size = scale.abs().max(f32::MIN_POSITIVE);
-        let speed = self.rules.limits.speed[i].max(0.0) * period / size;
+        let speed = self.rules.limits.speed[i].max(0.0) * program.lever[i] * period / size;
         let max_current = joint.stage.max_current();
         let gain = (core::f32::consts::TAU * SPEED_FILTER_HZ * period)
             .min((MAX_COUNT_SPEED_SHARE * speed).max(core::f32::consts::TAU * MIN_SPEED_FILTER_HZ * period));

@@ -1,5 +1,8 @@
 //! The polarity check: before a real device is armed, each motor must swing its joint as the device file predicts.
 //!
+//! Angles below are those of a joint that turns; of a slide they are travels at its lever
+//! ([`JointUnits::lever`](crate::model::units::JointUnits::lever)).
+//!
 //! The check relies on measurements only. An alternating torque grows from a twentieth of a newton at the tip until the
 //! joint swings by a degree. No joint is therefore pushed harder than its inertia and friction need, even if the file
 //! is wrong, and a joint with a dead encoder swings about its place instead of running away. If the torque that acted
@@ -145,28 +148,29 @@ where
         let q = self.polarity.q;
         let from = *self.polarity.initial.get_or_insert(q);
         let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
-        let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
+        let Some(program) = self.program.as_ref() else { return none };
+        let (counts, lever) = (program.radians_per_count, program.lever);
         let swung = self.polarity.swing.is_some();
-        let farthest = |j: usize| if swung && j != i { MAX_UNDRIVEN_ANGLE } else { MAX_STRAY_ANGLE };
+        let farthest = |j: usize| lever[j] * if swung && j != i { MAX_UNDRIVEN_ANGLE } else { MAX_STRAY_ANGLE };
         let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).greater(MAX_STRAY_COUNTS * counts[*j].abs())) < 0;
         if let Some(j) = (0..self.count().min(MAX_JOINTS)).find(beyond) {
             match &self.polarity.swing {
-                Some(Swing { angle, work, .. }) if j == i && *work < 0.0 => {
-                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / angle);
+                Some(Swing { angle, work, .. }) => {
+                    let fault = if j == i && *work < 0.0 { Fault::PolarityWrong } else { Fault::TorqueMismatch };
+                    self.trip(fault, Some(j as u8), moved[j] * lever[i] / (angle * lever[j]));
                 }
-                Some(Swing { angle, .. }) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / angle),
                 None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
             return none;
         }
         // Each part below has a step of its own, because steps at high rates have little time.
         if swung && self.polarity.part == 0 {
-            return self.swing(&moved, &counts);
+            return self.swing(&moved, &counts, &lever);
         }
         match (self.polarity.swing, self.polarity.inertia) {
             (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
-                self.polarity.effective_inertia = effective_inertia(i, inertia, self.count());
+                self.polarity.effective_inertia = effective_inertia(i, inertia, self.count(), &lever);
                 self.begin_first_swing();
             }
             (None, None) if self.is_at_rest() => {
@@ -192,7 +196,7 @@ where
         let corner = self.polarity.poses_checked;
         let mut unit = Torques::default();
         unit[self.axis()] = 1.0;
-        let off = |j: usize| if corner >> j & 1 == 0 { MAX_HOME_ERROR } else { -MAX_HOME_ERROR };
+        let off = |j: usize| program.lever[j] * if corner >> j & 1 == 0 { MAX_HOME_ERROR } else { -MAX_HOME_ERROR };
         let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.polarity.q[j] + off(j)));
         let [there, here] = [&leverage, &self.leverage].map(|leverage| sqrt(leverage.force_squared(&unit)));
         // `min` also drops the NaN of an impossible pose.
@@ -239,19 +243,19 @@ where
         let zero = program.controller.zero();
         self.polarity_known &= program.radians_per_count.iter().enumerate().take(program.joints).all(|(i, radians)| {
             let off = zero[i].wrapping_sub(self.checked_zero[i]) as f32 * radians;
-            off.abs() <= swing_angle(*radians)
+            off.abs() <= swing_angle(*radians, program.lever[i])
         });
     }
 
     /// Returns true if the joint has come to rest.
     fn is_at_rest(&mut self) -> bool {
-        let q = self.polarity.q[self.axis()];
+        let (q, lever) = (self.polarity.q[self.axis()], self.lever(self.axis()));
         let polarity = &mut self.polarity;
         polarity.wait_seconds += polarity.step_period;
         polarity.rest_seconds += polarity.step_period;
         // Lowest and highest angle both count, so a joint that a hand moves to and fro is not at rest.
         let (low, high) = (polarity.rest_range.0.min(q), polarity.rest_range.1.max(q));
-        (polarity.rest_range, polarity.rest_seconds) = match high - low <= MAX_REST_MOTION {
+        (polarity.rest_range, polarity.rest_seconds) = match high - low <= MAX_REST_MOTION * lever {
             true => ((low, high), polarity.rest_seconds),
             false => ((q, q), 0.0),
         };

@@ -10,6 +10,7 @@ use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
 use crate::model::padding::{as_joints, pad, to_joints};
+use crate::model::units::JointUnits;
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
 use crate::render::step_result::StepResult;
@@ -146,6 +147,8 @@ pub struct Program<K, S = Axis> {
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
+    /// [`JointUnits::lever`] of each joint.
+    pub(crate) lever: [f32; MAX_JOINTS],
     /// Coulomb friction, N m.
     pub(crate) coulomb: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
@@ -208,6 +211,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
+            lever: core::array::from_fn(|i| JointUnits::of(device.mechanism.is_prismatic(i)).lever),
             coulomb: core::array::from_fn(|i| device.joints[i].coulomb),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
             same_device,

@@ -14,7 +14,7 @@ use core::ops::DerefMut;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Speed below which a device counts as at rest, rad/s.
+/// Speed below which a device counts as at rest, rad/s; of a slide times its lever.
 pub const REST_SPEED: f32 = 0.2;
 
 /// A change between two control steps. `P` holds a [`Program`]: a box on the PC, a static buffer on the board.
@@ -95,7 +95,7 @@ pub struct Status {
     pub step: u32,
     /// Bus voltage, V; 0 if it is not measured.
     pub bus_voltage: f32,
-    /// Joint angles, rad.
+    /// Joint angles, rad; travels of slides, m.
     pub q: [f32; MAX_JOINTS],
     /// Tip position, m.
     pub tip: [f32; MAX_JOINTS],
@@ -298,9 +298,14 @@ where
         Ok(())
     }
 
-    /// Returns true if every joint of the device turns at most at `speed`, rad/s.
+    /// Returns true if every joint of the device moves at most at `speed`, rad/s; of a slide times its lever.
     fn is_slower_than(&self, speed: f32) -> bool {
-        self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
+        self.joints.iter().enumerate().take(self.count()).all(|(i, joint)| joint.speed().abs() <= speed * self.lever(i))
+    }
+
+    /// Returns the lever of joint `i`, see [`JointUnits::lever`](crate::model::units::JointUnits::lever).
+    pub(super) fn lever(&self, i: usize) -> f32 {
+        self.program.as_ref().and_then(|program| program.lever.get(i).copied()).unwrap_or(1.0)
     }
 
     fn check_motors_off(&self) -> Result<(), Refusal> {

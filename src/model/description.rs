@@ -4,6 +4,8 @@
 
 use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use crate::model::motor::Motor;
+use crate::model::units::JointUnits;
+use heapless::Vec;
 use nalgebra::Matrix3;
 
 /// Value of a chain's task in [`Description::geometry`] for the arc length of the tip. 0, 1 and 2 are x, y and z.
@@ -39,6 +41,11 @@ impl Description {
             }
         }
         links
+    }
+
+    /// Returns the units of each joint.
+    pub fn units(&self) -> Vec<&'static JointUnits, MAX_JOINTS> {
+        self.joints.iter().take(self.kind.spec().joints).map(Joint::units).collect()
     }
 
     /// Returns true if any joint has a compliant transmission or a structural mode.
@@ -122,7 +129,7 @@ impl Default for JointFrame {
 }
 
 /// One actuated joint with its motor and encoder. The coordinate of a prismatic joint is its travel, and every rad in
-/// the units below is a m, every N m a N, and every kg m² a kg.
+/// the units below is a m, every N m a N, and every kg m² a kg, see [`JointUnits`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Joint {
     /// True if the joint slides along its axis instead of turning about it.
@@ -207,6 +214,11 @@ impl Joint {
             let over = speed / friction.stribeck_speed;
             self.coulomb + (friction.rest - self.coulomb) * libm::exp(-over * over)
         })
+    }
+
+    /// Returns the units of the joint.
+    pub fn units(&self) -> &'static JointUnits {
+        JointUnits::of(self.prismatic)
     }
 
     /// Returns the structural modes of the joint.

@@ -80,9 +80,7 @@ impl<T: Real> Device<T> {
             joint.viscous = r(described.viscous);
             joint.coulomb = r(described.coulomb);
             joint.limits = described.limits.map(|(low, high)| (r(low), r(high)));
-            // The board's limits of speed and of the polarity check are angles, so a real board does not arm a slide.
-            let may_arm = |verified| verified && !described.prismatic;
-            joint.motor = described.motor.map(|motor| Motor { verified: may_arm(motor.verified), ..motor.cast() });
+            joint.motor = described.motor.map(|motor| motor.cast());
         }
         Ok(Self {
             name: short,

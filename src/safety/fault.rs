@@ -79,7 +79,7 @@ faults! {
     /// A torque near its limit moved no encoder; value: time, s.
     EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
         "check that the encoder is connected and the joint is not blocked, then home again";
-    /// The measured back-EMF shows that the joint turns, but the encoder does not; value: rad/s.
+    /// The measured back-EMF shows that the joint moves, but the encoder does not; value: rad/s, of a slide m/s.
     EncoderLoss = 4, "the motor turns but its encoder does not",
         "check the encoder's cable and coupling, then home again";
     /// Both encoder lines changed at once; value: number of errors.
@@ -88,10 +88,10 @@ faults! {
     /// An index pulse came at another count than before; value: difference, counts.
     IndexMismatch = 6, "the encoder's index came at the wrong count: counts were lost",
         "check the encoder's cable, then home again";
-    /// A joint left its limits; value: rad.
+    /// A joint left its limits; value: rad, of a slide m.
     JointLimit = 7, "a joint left its limits",
         "move the device back by hand, then `haptic faults --clear` and arm again";
-    /// A joint exceeded its speed limit; value: rad/s.
+    /// A joint exceeded its speed limit; value: rad/s, of a slide m/s.
     SpeedLimit = 8, "a joint moved faster than its limit",
         "lower the stiffness or raise the damping; if the encoder is noisy, check its cable";
     /// A motor's current exceeded its limit by far; value: A.
@@ -133,7 +133,7 @@ faults! {
     /// Mean power into the hand exceeded its limit; value: W.
     PowerLimit = 23, "more power went into the hand than its limit allows",
         "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
-    /// Motor and encoder disagree about the positive direction; value: motion, rad.
+    /// Motor and encoder disagree about the positive direction; value: actual over planned torque or swing.
     PolarityWrong = 24, "a motor turned its joint the wrong way",
         "swap the motor's two wires, or set `inverted` of that joint's encoder in the device file";
     /// A joint did not move under more torque than its inertia and friction need according to the device file.
@@ -165,7 +165,7 @@ faults! {
     /// A word of RAM did not keep what was written; value: the word's address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if the fault returns, replace the board";
-    /// A joint kept moving when the polarity check was about to start with it; value: motion, rad.
+    /// A joint kept moving when the polarity check was about to start with it; value: motion, rad, of a slide m.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device come to rest, or hold it still for a moment; take your hands off while a motor pushes; then check again";
     /// A held dead man's key is no longer reported as held; value: time since it was last seen down, s.

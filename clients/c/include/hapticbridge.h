@@ -180,7 +180,7 @@ typedef struct {
    */
   float velocity_m_s[3];
   /*
-   Joint angles.
+   Joint angles. Of a slide its travel, m, and so are its speed, m/s, and its force, N.
    */
   float q_rad[3];
   /*

@@ -111,7 +111,7 @@ pub struct State {
     pub tip_m: [f32; 3],
     /// Velocity of the tip.
     pub velocity_m_s: [f32; 3],
-    /// Joint angles.
+    /// Joint angles. Of a slide its travel, m, and so are its speed, m/s, and its force, N.
     pub q_rad: [f32; 3],
     /// Commanded joint torques, after all limits.
     pub torque_nm: [f32; 3],

@@ -6,6 +6,7 @@ use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
 use haptic_host::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_host::haptic_bridge::board::telemetry::Fields;
+use haptic_host::haptic_bridge::model::units::JointUnits;
 use haptic_host::haptic_bridge::render::controller::Gains;
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic_host::haptic_bridge::safety::fault::FaultRecord;
@@ -77,7 +78,7 @@ impl State {
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.velocity)
     }
-    /// Joint angles, rad, shape (3,).
+    /// Joint angles, rad, shape (3,). A slide has m, m/s and N here, in `qd` and in `torque`.
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.q)
@@ -352,10 +353,10 @@ impl Board {
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
         self.with(py, |open| {
-            let axes = open.session.device()?.map_or(0, |device| device.axes());
+            let units = open.session.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
             open.session.start_stream(fields, divider)?;
-            open.stream = Some(Stream { fields, axes });
-            Ok(names(fields, axes))
+            open.stream = Some(Stream { fields, axes: units.len() });
+            Ok(names(fields, &units))
         })
     }
 
@@ -366,8 +367,9 @@ impl Board {
         let timeout =
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
         let (mut rows, mut left) = (Vec::new(), timeout);
-        let width =
-            self.with(py, |open| Ok(open.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
+        let width = self.with(py, |open| {
+            Ok(open.stream.map_or(0, |stream| names(stream.fields, &[&JointUnits::REVOLUTE; 3][..stream.axes]).len()))
+        })?;
         loop {
             let wait = left.min(SIGNAL_INTERVAL);
             rows.append(&mut self.with(py, |open| Ok(open.session.rows(wait)?))?);
@@ -421,8 +423,8 @@ impl Board {
     }
 }
 
-fn names(fields: Fields, axes: usize) -> Vec<String> {
-    let own = columns(fields, axes).into_iter().map(|column| column.label);
+fn names(fields: Fields, units: &[&JointUnits]) -> Vec<String> {
+    let own = columns(fields, units).into_iter().map(|column| column.label);
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 

@@ -52,7 +52,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
             [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
         let traced = [Field::Counts, Field::BusVoltage, Field::Current, Field::State];
         let set = fields.iter().chain(&traced).fold(0, |set, field| set | field.bit());
-        let columns = haptic_host::link::columns(Fields(set), file.spec().joints);
+        let columns = haptic_host::link::columns(Fields(set), &file.description.units());
         rig.tool.start_stream(Fields(set), 1).expect("a stream starts");
         rig.tool.arm().expect("armed");
         rig.with_simulated(move |device| {

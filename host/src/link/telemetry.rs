@@ -2,6 +2,7 @@
 
 use crate::words::counted;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
+use haptic_bridge::model::units::JointUnits;
 
 /// The telemetry of one control step.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,26 +43,42 @@ pub struct Column {
     pub label: String,
 }
 
-/// Returns the columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The
-/// state has two columns: the state and the number of touched walls.
-pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
+/// Returns the unit of a field's number for a joint with these units.
+pub fn unit_of(field: Field, units: &JointUnits) -> &'static str {
+    match field {
+        Field::Angle => units.travel,
+        Field::Speed => units.speed,
+        Field::Torque => units.torque,
+        other => other.unit(),
+    }
+}
+
+/// Returns the columns of a stream of `fields` from a device whose joints have these units, in the order of
+/// [`Row::values`]. The state has two columns: the state and the number of touched walls.
+pub fn columns(fields: Fields, units: &[&JointUnits]) -> Vec<Column> {
     let mut columns = Vec::new();
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
-        let unit: String = field.unit().to_lowercase().replace([' ', '/'], "_");
-        let suffix = if unit.is_empty() { String::new() } else { format!("_{unit}") };
+        let suffix = |units: &JointUnits| match unit_of(field, units) {
+            "" => String::new(),
+            unit => format!("_{}", unit.to_lowercase().replace([' ', '/'], "_")),
+        };
         if field == Field::State {
             columns.push(Column { field, axis: 0, label: "state".into() });
             columns.push(Column { field, axis: 1, label: "contacts".into() });
         } else if field.is_vector() {
-            for axis in 0..axes {
+            for (axis, units) in units.iter().enumerate() {
                 let place = match field {
                     Field::Tip => ["_x", "_y", "_z"].get(axis).copied().unwrap_or_default().to_string(),
                     _ => axis.to_string(),
                 };
-                columns.push(Column { field, axis, label: format!("{}{place}{suffix}", field.name()) });
+                columns.push(Column { field, axis, label: format!("{}{place}{}", field.name(), suffix(units)) });
             }
         } else {
-            columns.push(Column { field, axis: 0, label: format!("{}{suffix}", field.name()) });
+            columns.push(Column {
+                field,
+                axis: 0,
+                label: format!("{}{}", field.name(), suffix(&JointUnits::REVOLUTE)),
+            });
         }
     }
     columns
@@ -275,7 +292,8 @@ mod tests {
         // -123456789 is 0xF8A4_32EB in two's complement; 0x21: armed, two walls.
         let packed = [0xEB, 0x32, 0xA4, 0xF8, 7, 0, 0, 0, 0x21];
         assert_eq!(unpack(fields, 2, &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
-        let labels: Vec<String> = columns(fields, 2).into_iter().map(|column| column.label).collect();
+        let labels: Vec<String> =
+            columns(fields, &[&JointUnits::REVOLUTE; 2]).into_iter().map(|column| column.label).collect();
         assert_eq!(labels, ["counts0", "counts1", "state", "contacts"]);
     }
 
@@ -291,9 +309,10 @@ mod tests {
 
     #[test]
     fn columns_carry_their_units() {
+        let units = [&JointUnits::REVOLUTE, &JointUnits::PRISMATIC];
         let labels: Vec<String> =
-            columns(fields("tip,torque,force").unwrap(), 2).into_iter().map(|column| column.label).collect();
-        assert_eq!(labels, ["tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n_m", "force_n"]);
+            columns(fields("q,tip,torque,force").unwrap(), &units).into_iter().map(|column| column.label).collect();
+        assert_eq!(labels, ["q0_rad", "q1_m", "tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n", "force_n"]);
         assert!(fields("tip,forse").unwrap_err().contains("`forse` is no field"));
     }
 }

@@ -2,21 +2,20 @@
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
-use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
-use haptic_host::words::with_unit;
+use haptic_host::words::{joint_units, with_unit};
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic_predict::plausible::scene::Contact;
 use haptic_predict::plausible::{Warning, device, scene, warn};
 use haptic_predict::summary::Summary;
 use haptic_predict::template::MOTORS_AND_ENCODERS;
-use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
+use haptic_predict::tip::{Tip, board_speeds, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
 use haptic_show::plot::paper::Paper;
@@ -248,17 +247,21 @@ fn tip_in_words(description: &Description) -> String {
     let motors = motor_torques(description);
     match Tip::at_home(description) {
         Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
-            let speed = [BOARD_SPEED; MAX_JOINTS];
+            let (speed, units) = (board_speeds(description), description.units());
+            let mut speeds: Vec<String> =
+                speed.iter().zip(&units).map(|(speed, of)| format!("{speed} {}", of.speed)).collect();
+            speeds.dedup();
             let spec = description.kind.spec();
             let moment = if spec.joints > spec.task { ", with a moment in addition" } else { "" };
             let joints: Vec<String> =
                 tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
                 "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board limits walls to \
-                 {GENTLE_FORCE} N by default, and `haptic device` sets its torque limits for that force and the device's weight ({} N m); at {} rad/s, the default speed limit of a real board, its links carry {:.2} J\n",
+                 {GENTLE_FORCE} N by default, and `haptic device` sets its torque limits for that force and the device's weight ({} {}); at {}, the default speed limit of a real board, its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
-                BOARD_SPEED,
+                joint_units(&units, |joint| joint.torque),
+                speeds.join(" and "),
                 tip.energy(&speed)
             )
         }

@@ -2,6 +2,7 @@
 
 use super::port::{OnBoard, numbers_in_words};
 use haptic_host::error::Failure;
+use haptic_host::words::joint_units;
 use serde_json::json;
 
 /// Declare the present pose to be the device's home pose
@@ -18,9 +19,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     board.home_at_rest()?;
     // Reads the status, whose pose the next control step computes.
-    let axes = board.device()?.map_or(0, |device| device.axes());
+    let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
     let status = board.status()?;
-    let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
-    let words = format!("homed: joints {}, tip {}\n", numbers_in_words(q, "rad"), numbers_in_words(tip, "m"));
+    let (q, tip) = (&status.q[..units.len()], &status.tip[..units.len()]);
+    let joints = numbers_in_words(q, &joint_units(&units, |unit| unit.travel));
+    let words = format!("homed: joints {joints}, tip {}\n", numbers_in_words(tip, "m"));
     args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &words)
 }

@@ -4,6 +4,7 @@ use super::port::{OnBoard, fault_without_remedy, numbers_in_words, scene_in_word
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
+use haptic_host::words::joint_units;
 use serde_json::json;
 
 /// Show a board, its device and scene, and its state
@@ -20,7 +21,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let status = board.status()?;
     let scene = board.scene()?;
     let tip_force = board.rules()?.limits.tip_force;
-    let axes = board.device()?.map_or(0, |device| device.axes());
+    let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
+    let axes = units.len();
     if args.on.json.is_requested() {
         let fault = status.fault.map(|record| {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
@@ -64,7 +66,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
         let unknown = if status.homed { "" } else { "  (not homed: relative to the pose at power-on)" };
-        line("joints", numbers_in_words(&status.q[..axes], "rad") + unknown);
+        line("joints", numbers_in_words(&status.q[..axes], &joint_units(&units, |unit| unit.travel)) + unknown);
         line("tip", numbers_in_words(&status.tip[..axes], "m") + unknown);
     }
     if let Some(record) = &status.fault {

@@ -331,7 +331,7 @@ mod tests {
     #[test]
     fn the_force_of_a_paddle_is_drawn_along_its_arc() {
         let file = DeviceFile::parse(include_str!("../../../../devices/hapkit-paddle.toml"), "hapkit").unwrap();
-        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, 1));
+        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, &file.description.units()));
         let (length, angle) = (file.description.geometry[0], 0.3_f64);
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
@@ -356,7 +356,7 @@ mod tests {
         let pose = TaskPose::of(&device.mechanism, demo.q()).unwrap();
         let n = DVector::from_column_slice(&demo.normal);
         let torque = pose.jacobian.tr_mul(&n) * 4.0;
-        let columns = columns(FIELDS, 2);
+        let columns = columns(FIELDS, &demo.file.description.units());
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
             Field::Angle => demo.pose[column.axis] as f32,

@@ -159,7 +159,7 @@ impl Stage {
         let link_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
         let divider = (rate_hz / limit_hz.unwrap_or(link_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
-        let columns = columns(FIELDS, device.axes());
+        let columns = columns(FIELDS, &device.mechanism.units());
         // No page holds a key yet.
         board.disarm()?;
         board.keep_alive();
@@ -567,7 +567,13 @@ impl Stage {
         if is_possible {
             self.recreate(id, &self.first.clone(), pose);
         } else {
-            self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
+            self.refuse(
+                id,
+                &format!(
+                    "a pose is {} angles (rad; of slides travels, m) that the device can have",
+                    self.device.axes()
+                ),
+            );
         }
     }
 

@@ -93,7 +93,11 @@ impl Cut {
                 let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
                 let neutral = if Turret::of(description.kind).is_some() { 0.0 } else { home[0] };
                 let angle = [neutral, home[0]].into_iter().find(allowed).unwrap_or(middle);
-                (Some(FixedCoordinate::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
+                (
+                    Some(FixedCoordinate::Joint(0, angle)),
+                    [1, 2],
+                    format!("joint 0 at {angle:.3} {}", description.units()[0].travel),
+                )
             }
             (3, _) => {
                 let phi: f64 = home.iter().sum();
