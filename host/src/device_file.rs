@@ -124,7 +124,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     let geometry = geometry_table.as_ref().map_or([0.0; MAX_GEOMETRY], |table| geometry(table, &spec));
     let links = top.keep(links(top, &spec), Default::default());
     let joints = top.keep(joints(top, &spec), Default::default());
-    let handle_mass = top.keep(top.table("handle"), None).map_or(0.0, |handle| {
+    let handle_mass = top.keep(handle(top, &spec), None).map_or(0.0, |handle| {
         handle.refuse_unknown_keys(&["mass"]);
         handle.required_number("mass", Must::NotBeNegative, "mass = 0.01")
     });
@@ -189,6 +189,16 @@ fn gravity(top: &Table<'_>, spec: &Spec) -> Result<Vec<f64>, FileError> {
         return Err(top.error_at("gravity", impossible("a paddle's gravity has two entries", remedy)));
     }
     Ok(gravity)
+}
+
+/// Reads the table of the handle, which paddles do not have.
+fn handle<'a>(top: &Table<'a>, spec: &Spec) -> Result<Option<Table<'a>>, FileError> {
+    let handle = top.table("handle")?;
+    if spec.are_links_optional && handle.is_some() {
+        let remedy = "add its mass to [[link]], or its mass times length² to the joint's inertia";
+        return Err(top.error_at("handle", impossible("paddles take no [handle]", remedy)));
+    }
+    Ok(handle)
 }
 
 fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {

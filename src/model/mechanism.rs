@@ -122,6 +122,10 @@ impl<T: Real, const N: usize> Shaping<T, N> {
     /// rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, subtracted: &SVector<T, N>) -> SVector<T, N> {
+        if N == 1 {
+            // One joint has no admissible direction: M E Wrr⁻¹ Eᵀ is 1, and b cancels without rounding.
+            return self.me * (force / self.w_rr) + (b - subtracted);
+        }
         self.me * ((force - self.e.dot(subtracted)) / self.w_rr) + b
     }
 }

@@ -1,7 +1,7 @@
 //! A wrong file is refused with exit code 2 and one message per mistake with file name, line and remedy. Tables list
 //! likely mistakes. In addition, the tests damage every line of every shipped file.
 
-use crate::common::{Folder, refusal, run, toml_files, type_lines};
+use crate::common::{Folder, refusal, run, shipped_path, toml_files, type_lines};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::FileError;
@@ -208,6 +208,16 @@ fn a_wrong_scene_is_refused_with_line_and_remedy() {
     let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
     let message = check_error(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
     assert!(message.contains("at most 8 [[wall]] tables"), "{message}");
+}
+
+#[test]
+fn a_handle_of_a_paddle_is_refused() {
+    for name in ["upright-hapkit", "two-paddles"] {
+        let shipped = std::fs::read_to_string(shipped_path(&format!("{name}.toml"))).expect("a shipped file");
+        let text = replace_once(&shipped, "[home]", "[handle]\nmass = 0.01\n\n[home]");
+        let error = DeviceFile::parse(&text, "device").expect_err("a paddle with a handle").to_string();
+        assert!(error.lines().count() == 1 && error.contains("paddles take no [handle]"), "{error}");
+    }
 }
 
 #[test]
