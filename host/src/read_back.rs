@@ -7,6 +7,7 @@
 use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
+use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::shape::Meaning;
@@ -315,7 +316,16 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
         put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
     if let Some(home) = device.home {
-        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
+        let mut into = table(&mut entries, "[home]", 0);
+        into.numbers("q", &to_f64(&home[..spec.joints]), "rad");
+        match device.homing {
+            Homing::Hand => {}
+            Homing::Index => into.word("by", "index"),
+            Homing::Stop(stops) => {
+                into.word("by", "stop");
+                into.numbers("stop", &to_f64(&stops[..spec.joints]), "rad");
+            }
+        }
     }
     entries
 }

@@ -7,6 +7,7 @@ use crate::drive::carrier::Carrier;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
+use crate::model::description::Homing;
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
 use crate::model::padding::{as_joints, pad, to_joints};
@@ -145,6 +146,7 @@ pub struct Program<K, S = Axis> {
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
+    pub(crate) homing: Homing<f32>,
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
     /// Coulomb friction, N m.
     pub(crate) coulomb: [f32; MAX_JOINTS],
@@ -207,6 +209,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
+            homing: device.homing,
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
             coulomb: core::array::from_fn(|i| device.joints[i].coulomb),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
