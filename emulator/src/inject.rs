@@ -6,10 +6,11 @@
 use std::f64::consts::PI;
 
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use rigless::time::VirtualNanos;
 
@@ -379,6 +380,23 @@ pub fn injection(fault: Fault) -> Injection {
             },
             6_000,
         ),
+        Fault::StopMissing => chip(
+            "a hand that holds the tip while a joint is pushed to its stop",
+            rig_before_stops,
+            |rig| {
+                rig.with_simulated(hold);
+                // The first report of the key reads the present step.
+                rig.tool.hold_key(0).expect("the board replies");
+                let seen = rig.tool.step();
+                rig.tool.find_stops(seen).expect("homing starts");
+                while rig.tool.status().expect("the board replies").state == State::Homing {
+                    let seen = rig.tool.step();
+                    rig.tool.hold_key(seen).expect("the board replies");
+                    rig.run(100 * MILLISECOND);
+                }
+            },
+            5,
+        ),
         Fault::SensorStale => chip(
             "a converter that is no longer triggered",
             rig_in_contact,
@@ -537,6 +555,21 @@ fn rig_with_index() -> Rig {
     rig.run(SECOND);
     rig.with_simulated(|device| sweep(device, HALF_SWEEP_METRES, -HALF_SWEEP_METRES));
     rig.run(SECOND);
+    rig
+}
+
+/// Returns a rig with stops 0.4 rad from home, and a passed polarity check.
+fn rig_before_stops() -> Rig {
+    let mut file = device_file(FIVE_BAR);
+    let home = file.description.home.expect("a home pose");
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        joint.limits = Some((home - 0.4, home + 0.4));
+    }
+    file.description.homing = Homing::Stop(home.map(|home| home + 0.4));
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
+    rig.load("");
+    rig.tool.home().expect("roughly at home");
+    rig.check_polarity();
     rig
 }
 

@@ -28,8 +28,13 @@ pub struct Device<T: Real> {
     pub joints: [Joint<T>; MAX_JOINTS],
     /// Joint angles that homing assigns, rad.
     pub home: Option<[T; MAX_JOINTS]>,
-    /// Reference of homing.
+    /// Reference of homing. Earlier backups have none.
+    #[serde(default = "by_hand")]
     pub homing: Homing<T>,
+}
+
+fn by_hand<T>() -> Homing<T> {
+    Homing::Hand
 }
 
 /// One joint: encoder, motor, friction, limits.

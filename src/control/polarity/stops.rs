@@ -139,8 +139,8 @@ where
             Phase::Back => -outward,
             Phase::Return => (-1.0_f32).copysign(moved[i]),
         };
-        let held = (push.target - moved[i]) * way >= full_lag;
-        if !held {
+        // The torque is below its largest by rounding errors only.
+        if (push.target - moved[i]) * way < 0.99 * full_lag {
             self.polarity.rest_seconds = 0.0;
         }
         let stands = self.is_at_rest(seconds);
