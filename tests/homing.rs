@@ -106,7 +106,7 @@ fn homing_by_stops_needs_polarity_and_a_held_key() {
     find(&mut rig).expect("ready");
     rig.hold_key(3);
     assert_eq!(rig.state(), State::Homing);
-    rig.run(0.45);
+    rig.run(0.35);
     assert_eq!(rig.state(), State::Homing);
     rig.run(0.1);
     assert_eq!((rig.fault(), rig.control_loop.status().homed), (Some(Fault::KeyReleased), false));

@@ -10,7 +10,7 @@ use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::fault::Fault;
 use haptic_sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use rigless::time::VirtualNanos;
 
@@ -381,21 +381,10 @@ pub fn injection(fault: Fault) -> Injection {
             6_000,
         ),
         Fault::StopMissing => chip(
-            "a hand that holds the tip while a joint is pushed to its stop",
-            rig_before_stops,
-            |rig| {
-                rig.with_simulated(hold);
-                // The first report of the key reads the present step.
-                rig.tool.hold_key(0).expect("the board replies");
-                let seen = rig.tool.step();
-                rig.tool.find_stops(seen).expect("homing starts");
-                while rig.tool.status().expect("the board replies").state == State::Homing {
-                    let seen = rig.tool.step();
-                    rig.tool.hold_key(seen).expect("the board replies");
-                    rig.run(100 * MILLISECOND);
-                }
-            },
-            5,
+            "a hand that moves the tip while a joint is pushed to its stop",
+            rig_pushing_to_stop,
+            |rig| push_tip(rig, [3.0, 3.0, 0.0]),
+            400,
         ),
         Fault::SensorStale => chip(
             "a converter that is no longer triggered",
@@ -558,8 +547,8 @@ fn rig_with_index() -> Rig {
     rig
 }
 
-/// Returns a rig with stops 0.4 rad from home, and a passed polarity check.
-fn rig_before_stops() -> Rig {
+/// Returns a rig that pushes its first joint to a stop 0.4 rad from home, half a second after it began.
+fn rig_pushing_to_stop() -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
     for (joint, home) in file.description.joints.iter_mut().zip(home) {
@@ -570,6 +559,16 @@ fn rig_before_stops() -> Rig {
     rig.load("");
     rig.tool.home().expect("roughly at home");
     rig.check_polarity();
+    rig.run(SECOND);
+    // The first report of the key reads the present step.
+    rig.tool.hold_key(0).expect("the board replies");
+    let seen = rig.tool.step();
+    rig.tool.find_stops(seen).expect("homing starts");
+    for _ in 0..5 {
+        rig.run(100 * MILLISECOND);
+        let seen = rig.tool.step();
+        rig.tool.hold_key(seen).expect("the board replies");
+    }
     rig
 }
 

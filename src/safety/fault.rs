@@ -187,7 +187,7 @@ faults! {
         "measure the winding at the motor's terminals: correct the device file if it is wrong; otherwise the current sensor or a contact is at fault";
     /// A joint did not stand still at its stop, twice at the same angle; value: error of the angle, or motion, rad.
     StopMissing = 41, "a joint pushed to its stop met something else, or nothing",
-        "clear the joints' way to their stops and keep hands off; check `stop` and `limits` in the device file; hold the device in its home pose and run `haptic home`, then `haptic polarity` and `haptic home --key`";
+        "free the joints' way to their stops and keep hands off; check `stop` and `limits` in the device file; hold the device in its home pose and run `haptic home`, then `haptic polarity` and `haptic home --key`";
 }
 
 impl Fault {
