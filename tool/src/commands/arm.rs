@@ -37,8 +37,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let host_action = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
-        print("hold Space: motors on; release Space: motors off; q ends\n")?;
-        let armed = KeyedMotion { begin: Board::arm_held, state: State::Armed, is_done: |_| false };
+        let intro = "hold Space: motors on; release Space: motors off; q ends\n";
+        let armed = KeyedMotion { intro, begin: Board::arm_held, state: State::Armed, is_done: |_| false };
         run_while_held(&mut board, &armed, args.on.json, stop)?;
         return print("disarmed: the motors are off\n");
     }
@@ -77,6 +77,8 @@ const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A motion of the motors that lasts while a key is held.
 pub struct KeyedMotion {
+    /// Instructions for the user.
+    pub intro: &'static str,
     /// Starts the motion, see [`Board::arm_held`].
     pub begin: fn(&mut Board, u32) -> Result<(), BoardError>,
     /// State of the board meanwhile.
@@ -93,6 +95,7 @@ pub fn run_while_held(board: &mut Board, motion: &KeyedMotion, json: Json, stop:
     if !std::io::stdin().is_terminal() {
         return Err(Failure::wrong("--key needs a terminal, for the Space key").remedy("run it in a terminal"));
     }
+    print(motion.intro)?;
     board.keep_alive();
     let ended = in_raw_terminal(|| follow_key(board, motion, stop)).map_err(Failure::impossible);
     haptic_host::error::overwrite_line(format_args!(""), true);
