@@ -6,7 +6,7 @@ use super::port::{OnBoard, numbers_in_words};
 use haptic_bridge::model::description::Homing;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_host::error::{Failure, print};
+use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use serde_json::json;
 use std::time::Duration;
@@ -36,10 +36,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let device = board.device()?;
     let (axes, homing) = device.map_or((0, Homing::Hand), |device| (device.axes(), device.homing));
     if args.key {
-        print(
-            "hold Space: each joint is pushed to its stop; keep your hands off; release Space: motors off; q ends\n",
-        )?;
-        let motion = KeyedMotion { begin: Board::find_stops, state: State::Homing, is_done: |status| status.homed };
+        let motion = KeyedMotion {
+            intro: "hold Space: each joint is pushed to its stop, keep your hands off; release Space: motors off; q ends\n",
+            begin: Board::find_stops,
+            state: State::Homing,
+            is_done: |status| status.homed,
+        };
         run_while_held(&mut board, &motion, args.on.json, interrupt::watch())?;
         if !board.status()?.homed {
             return Err(Failure::impossible("the device is not homed").remedy("hold Space until the command ends"));
