@@ -53,7 +53,8 @@ fn strict_board(name: &str, homing: fn([f64; 3]) -> Homing<f64>) -> (SharedBoard
 fn angle_error(shared: &SharedBoard, board: &mut Board) -> f64 {
     shared.lock().run(0.01);
     let shown = board.status().unwrap().q;
-    let (q, joints) = (shared.lock().device().q(), shared.lock().device().joints());
+    let board = shared.lock();
+    let (q, joints) = (board.device().q(), board.device().joints());
     shown.iter().zip(q).take(joints).fold(0.0, |most: f64, (shown, q)| most.max((f64::from(*shown) - q).abs()))
 }
 
