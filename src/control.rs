@@ -24,6 +24,7 @@ pub mod compiled;
 mod crest;
 mod fade;
 pub mod frame;
+mod homing;
 pub mod host_force;
 pub mod joints;
 mod period;
@@ -71,6 +72,8 @@ pub struct ControlLoop<P, S = Axis> {
     one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
+    /// True if the joint angles are known well enough for a polarity check. Equals `homed` unless homed by stops.
+    placed: bool,
     /// Zero if the scene is `in_force` and the last step limited no torque; otherwise negative.
     steady: i32,
     program: Option<P>,
@@ -116,6 +119,8 @@ pub struct ControlLoop<P, S = Axis> {
     /// Heat of the motors, kept when the device changes.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
+    /// Lowest and highest counts since the index marks are searched, with the motors off.
+    swept: Option<(Counts, Counts)>,
     /// Index pulses seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
@@ -139,6 +144,7 @@ where
             program: None,
             state: State::Disarmed,
             homed: false,
+            placed: false,
             polarity_known: false,
             joint_count: 0,
             compensates_weight: false,
@@ -167,6 +173,7 @@ where
             host_expected: 0,
             key: None,
             first_index: [None; MAX_JOINTS],
+            swept: None,
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
             next_joint: 0,
@@ -279,7 +286,8 @@ where
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
         if fault.loses_counts() {
-            self.homed = false;
+            (self.homed, self.placed) = (false, false);
+            self.forget_marks();
         }
         self.turn_motors_off();
         self.state = State::Fault;
@@ -287,6 +295,11 @@ where
     }
 
     fn turn_motors_off(&mut self) {
+        if self.state == State::Homing {
+            // The joints' ranges were wider.
+            self.state = State::Disarmed;
+            self.set_ranges();
+        }
         self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
@@ -354,14 +367,17 @@ where
                 let asked = self.now.result.asked;
                 self.command(&asked, &asked.total);
             }
-            State::CheckingPolarity => {
+            State::CheckingPolarity | State::Homing => {
                 let torque = self.check_polarity();
-                if self.state == State::CheckingPolarity {
+                if self.state.drives() {
                     self.command_test(&torque);
                 }
                 self.now.motors.rendered_force = 0.0;
             }
-            State::Disarmed | State::Fault => self.command_zero(),
+            State::Disarmed | State::Fault => {
+                self.command_zero();
+                self.sweep();
+            }
         }
         self.update_fast_path();
     }

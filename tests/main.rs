@@ -22,6 +22,7 @@ mod guard;
 mod hard_cases;
 mod hard_steps;
 mod heat;
+mod homing;
 mod host_force;
 mod host_silence;
 mod mechanism;

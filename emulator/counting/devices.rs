@@ -4,7 +4,7 @@
 use core::f64::consts::TAU;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link, MAX_MODES};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, JointFrame, Link, MAX_MODES};
 
 const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
     let (com_across, inertia_products) = ([0.0; 2], [0.0; 3]);
@@ -43,6 +43,7 @@ pub const PADDLE: Description = Description {
     joints: [joint(0.0008, 0.0008, 0.004, 60_000.0), NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
     home: Some([0.0; MAX_JOINTS]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/haply-2diy.toml`.
@@ -59,6 +60,7 @@ pub const FIVE_BAR: Description = Description {
     joints: [joint(1.4e-6, 0.0003, 0.002, 10_752.0), joint(1.4e-6, 0.0003, 0.002, 10_752.0), NO_JOINT],
     handle_mass: 0.02,
     home: Some([2.3, 0.84159265358979, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/fictive-five-bar-turret.toml`.
@@ -79,6 +81,7 @@ pub const FIVE_BAR_TURRET: Description = Description {
     ],
     handle_mass: 0.03,
     home: Some([0.0, 2.2, 0.94159265358979]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/phantom-premium-1.5.toml`.
@@ -99,6 +102,7 @@ pub const PARALLELOGRAM: Description = Description {
     ],
     handle_mass: 0.0,
     home: Some([0.0, 1.2, -0.1]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/serial-3r.toml`.
@@ -119,6 +123,7 @@ pub const SERIAL_3R: Description = Description {
     ],
     handle_mass: 0.03,
     home: Some([0.3, 1.2, 0.8]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/falcon-like.toml`.
@@ -139,6 +144,7 @@ pub const DELTA: Description = Description {
     ],
     handle_mass: 0.02,
     home: Some([0.6108652381980153; 3]),
+    homing: Homing::Hand,
 };
 
 /// Returns the link of a chain with its centre of mass on x and the inertia tensor diag(ixx, iyy, izz).
@@ -163,6 +169,7 @@ pub const PADDLES_2: Description = Description {
     joints: [joint(3.4e-4, 0.0008, 0.004, 26_087.0), joint(3.4e-4, 0.0008, 0.004, 26_087.0), NO_JOINT],
     handle_mass: 0.0,
     home: Some([0.0; MAX_JOINTS]),
+    homing: Homing::Hand,
 };
 
 /// Three paddles like those of `devices/two-paddles.toml`.
@@ -182,6 +189,7 @@ pub const CHAIN_1: Description = Description {
     joints: [Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) }, NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
     home: Some([0.05, 0.0, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/planar-arm.toml`.
@@ -202,6 +210,7 @@ pub const CHAIN_2: Description = Description {
     ],
     handle_mass: 0.02,
     home: Some([0.5, 1.2, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/touch.toml`.
@@ -222,4 +231,5 @@ pub const CHAIN_3: Description = Description {
     ],
     handle_mass: 0.015,
     home: Some([0.0, 0.23, -2.15]),
+    homing: Homing::Hand,
 };

@@ -155,7 +155,7 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     let before = board.state().drives();
     let answer = board.answer(&frame(key, body));
     assert!(answer.is_some(), "every frame with a header has a reply");
-    let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
+    let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY, FindStops::REQ_KEY].contains(&key);
     assert!(before || may_drive || !board.state().drives(), "motors on without a request");
     // With 0 ticks, the next request arrives before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
@@ -283,6 +283,7 @@ pub const TEMPLATES: &[Template] = &[
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
     (ArmHeld::REQ_KEY, |which| bytes_of(&press(which))),
+    (FindStops::REQ_KEY, |which| bytes_of(&press(which))),
     (Heartbeat::REQ_KEY, |which| {
         let held = Beat::Held(press(which));
         bytes_of(&[Beat::Here, held, held, Beat::Released][usize::from(which) % 4])

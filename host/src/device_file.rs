@@ -12,8 +12,8 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, JointFrame, Link, MAX_MODES, Stribeck,
-    StructuralMode, Transmission,
+    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, MAX_MODES,
+    Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
@@ -128,12 +128,14 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         handle.refuse_unknown_keys(&["mass"]);
         handle.required_number("mass", Must::NotBeNegative, "mass = 0.01")
     });
-    let home = top.keep(home(top, &spec, &joints), None);
+    let (home, homing) = top.keep(home(top, &spec, &joints), None).unzip();
+    let homing = homing.unwrap_or_default();
     // The following checks need values without errors.
     top.check_no_errors()?;
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
-    let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
+    let description =
+        Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home, homing };
     let mechanism =
         AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
@@ -539,9 +541,14 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
     }
 }
 
-fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {
+/// Home pose (rad) and reference of homing.
+type Home = ([f64; MAX_JOINTS], Homing<f64>);
+
+fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<Home>, FileError> {
     let Some(table) = top.table("home")? else { return Ok(None) };
-    table.refuse_unknown_keys(&["q"]);
+    let references = [("hand", Homing::Hand), ("index", Homing::Index), ("stop", Homing::Stop([0.0; MAX_JOINTS]))];
+    let by = table.word("by", &references)?.unwrap_or_default();
+    table.refuse_unknown_keys(if matches!(by, Homing::Stop(_)) { &["q", "by", "stop"] } else { &["q", "by"] });
     let q =
         table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad, of a slide its travel in m")?;
     let q = table.require("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
@@ -564,7 +571,44 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
             return Err(table.error_at_element("q", index, impossible(reason, remedy)));
         }
     }
-    Ok(Some(padded(&q)))
+    let homing = match by {
+        Homing::Hand => by,
+        Homing::Index => {
+            for (index, joint) in top.tables("joint")?.iter().enumerate() {
+                if !joint.table("encoder")?.is_some_and(|encoder| encoder.has("offset")) {
+                    let reason =
+                        format!("homing by index needs the angle of joint {index} at its encoder's index mark");
+                    let remedy = format!("write offset = 0.0 in [joint.encoder] of joint {index}, in rad");
+                    return Err(table.error_at("by", impossible(reason, remedy)));
+                }
+            }
+            by
+        }
+        Homing::Stop(_) => Homing::Stop(stops(&table, spec, joints)?),
+    };
+    Ok(Some((padded(&q), homing)))
+}
+
+/// Largest distance of a stop from the nearest limit of its joint, as a share of the limits' range.
+const MAX_STOP_DISTANCE: f64 = 0.1;
+
+/// Reads the joint angles (rad) at the stops, each at or just beyond a limit.
+fn stops(table: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<[f64; MAX_JOINTS], FileError> {
+    let stops = table.numbers("stop", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
+    let ends = joints.iter().take(spec.joints).map(|joint| joint.limits.map_or(0.0, |(low, _)| low));
+    let stops = table.require("stop", stops, format!("stop = {:?}", ends.collect::<Vec<f64>>()))?;
+    for (index, (stop, joint)) in stops.iter().zip(joints).enumerate() {
+        let near = |(low, high): (f64, f64)| {
+            let beyond = (low - stop).max(stop - high);
+            (0.0..=MAX_STOP_DISTANCE * (high - low)).contains(&beyond)
+        };
+        if !joint.limits.is_some_and(near) {
+            let reason = format!("joint {index} has no limit near a stop at {stop} rad");
+            let remedy = "a stop is at a limit of its joint or beyond it by at most a tenth of the limits' range";
+            return Err(table.error_at_element("stop", index, impossible(reason, remedy)));
+        }
+    }
+    Ok(padded(&stops))
 }
 
 /// Returns the first joint whose modes, together with the modes of the joints before this joint, leave the links no

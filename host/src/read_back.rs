@@ -7,6 +7,7 @@
 use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
+use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::units::JointUnits;
@@ -318,7 +319,16 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     if let Some(home) = device.home {
         let units = device.mechanism.units();
         let unit = if units.iter().all(|other| other == &units[0]) { units[0].travel } else { "rad or m" };
-        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), unit);
+        let mut into = table(&mut entries, "[home]", 0);
+        into.numbers("q", &to_f64(&home[..spec.joints]), unit);
+        match device.homing {
+            Homing::Hand => {}
+            Homing::Index => into.word("by", "index"),
+            Homing::Stop(stops) => {
+                into.word("by", "stop");
+                into.numbers("stop", &to_f64(&stops[..spec.joints]), unit);
+            }
+        }
     }
     entries
 }

@@ -167,6 +167,7 @@ fn route<M: Described>(
         GetRules: |()| *service.rules();
         Home: |()| service.home(machine);
         CheckPolarity: |()| service.check_polarity(machine);
+        FindStops: |press| service.find_stops(machine, press);
         Clear: |()| service.clear(machine);
         GetFaults: |()| service.faults().clone();
         Stream: |stream| {

@@ -154,6 +154,7 @@ endpoints! {
     | SetName       | Name          | Outcome     | "haptic/name"      |
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |
+    | FindStops     | Press         | Outcome     | "haptic/stops"     |
 }
 
 topics! {

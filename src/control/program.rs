@@ -7,6 +7,7 @@ use crate::drive::carrier::Carrier;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
+use crate::model::description::Homing;
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
 use crate::model::padding::{as_joints, pad, to_joints};
@@ -146,6 +147,7 @@ pub struct Program<K, S = Axis> {
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
+    pub(crate) homing: Homing<f32>,
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
     /// [`JointUnits::lever`] of each joint.
     pub(crate) lever: [f32; MAX_JOINTS],
@@ -210,6 +212,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
+            homing: device.homing,
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
             lever: core::array::from_fn(|i| JointUnits::of(device.mechanism.is_prismatic(i)).lever),
             coulomb: core::array::from_fn(|i| device.joints[i].coulomb),

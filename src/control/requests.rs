@@ -5,6 +5,7 @@ use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::Homing;
 use crate::render::controller::Gains;
 use crate::render::step_result::StepResult;
 use crate::render::velocity::{Coefficients, Washout};
@@ -28,7 +29,7 @@ pub enum Command<P> {
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
-    /// Takes the present pose as the home pose.
+    /// Takes the present pose as the home pose, or homes by index marks that the joints have passed.
     Home,
     /// Turns the motors on.
     Arm,
@@ -54,6 +55,10 @@ pub enum Command<P> {
     Fault(FaultRecord),
     /// Computes the walls' energy if telemetry needs it. The passivity controller computes it in any case.
     ShowEnergy(bool),
+    /// Pushes each joint to its stop while this key is held, and homes the device.
+    FindStops(Press),
+    /// Returns the reply to [`Command::FindStops`] without changing anything.
+    MayFindStops(Press),
 }
 
 /// A press of a dead man's key, made at an unknown time after step `seen`. Motors that depend on the key go off
@@ -85,7 +90,7 @@ pub type Reply<P> = (Result<(), Refusal>, Option<P>);
 pub struct Status {
     /// State of the control loop.
     pub state: State,
-    /// True if the device is homed.
+    /// True if the device is homed. A device with stops is homed once its joints have touched them.
     pub homed: bool,
     /// True if the device's polarity is known.
     pub polarity: bool,
@@ -167,6 +172,8 @@ where
                 Ok(())
             }
             Command::CheckPolarity => self.start_polarity_check(),
+            Command::FindStops(press) => self.find_stops(*press),
+            Command::MayFindStops(press) => self.may_find_stops(*press),
             Command::PolarityKnown => {
                 self.record_known_polarity();
                 Ok(())
@@ -214,7 +221,7 @@ where
             return Ok(());
         }
         let Some(old) = &self.program else { return Err(Refusal::NoDevice) };
-        if !program.same_device || old.rate_hz != program.rate_hz || self.state == State::CheckingPolarity {
+        if !program.same_device || old.rate_hz != program.rate_hz || self.state != State::Armed {
             return Err(Refusal::Armed);
         }
         program.controller.set_zero(&old.controller.zero());
@@ -243,9 +250,10 @@ where
         match &self.program {
             Some(old) if same_device => program.controller.set_zero(&old.controller.zero()),
             _ => {
-                self.homed = false;
+                (self.homed, self.placed) = (false, false);
                 self.polarity_known = false;
-                (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
+                self.marks = None;
+                self.forget_marks();
                 // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.result = StepResult::default();
                 self.now.result.parallel = 1.0;
@@ -282,24 +290,8 @@ where
         Ok(())
     }
 
-    fn home(&mut self) -> Result<(), Refusal> {
-        self.check_motors_off()?;
-        let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
-        let home = program.home.ok_or(Refusal::NoHome)?;
-        if !self.is_slower_than(REST_SPEED) {
-            return Err(Refusal::Moving);
-        }
-        let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
-        program.controller.home(&self.now.counts, &home);
-        self.homed = true;
-        self.keep_polarity_near_its_home();
-        self.first_index = [None; MAX_JOINTS];
-        self.set_bounds();
-        Ok(())
-    }
-
     /// Returns true if every joint of the device moves at most at `speed`, rad/s; of a slide times its lever.
-    fn is_slower_than(&self, speed: f32) -> bool {
+    pub(super) fn is_slower_than(&self, speed: f32) -> bool {
         self.joints.iter().enumerate().take(self.count()).all(|(i, joint)| joint.speed().abs() <= speed * self.lever(i))
     }
 
@@ -308,7 +300,7 @@ where
         self.program.as_ref().and_then(|program| program.lever.get(i).copied()).unwrap_or(1.0)
     }
 
-    fn check_motors_off(&self) -> Result<(), Refusal> {
+    pub(super) fn check_motors_off(&self) -> Result<(), Refusal> {
         match self.fault {
             _ if self.state.drives() => Err(Refusal::Armed),
             Some(record) => Err(Refusal::Faulted(record.fault)),
@@ -323,8 +315,9 @@ where
         if let Some(refusal) = program.arming_refused {
             return Err(refusal);
         }
-        if self.hardware.real && !self.homed {
-            return Err(Refusal::NotHomed);
+        if self.hardware.real && !self.placed {
+            let by_index = program.homing == Homing::Index;
+            return Err(self.angles_by_index().err().filter(|_| by_index).unwrap_or(Refusal::NotHomed));
         }
         let bus = self.now.motors.bus_voltage;
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
@@ -347,6 +340,9 @@ where
         let program = self.check_ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
+        }
+        if self.hardware.real && !self.homed {
+            return Err(Refusal::StopsUntouched);
         }
         if program.controller.is_inside_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);

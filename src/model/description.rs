@@ -7,6 +7,8 @@ use crate::model::motor::Motor;
 use crate::model::units::JointUnits;
 use heapless::Vec;
 use nalgebra::Matrix3;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
 
 /// Value of a chain's task in [`Description::geometry`] for the arc length of the tip. 0, 1 and 2 are x, y and z.
 pub const ARC: f64 = 3.0;
@@ -26,8 +28,33 @@ pub struct Description {
     pub joints: [Joint; MAX_JOINTS],
     /// Point mass at the tip, kg.
     pub handle_mass: f64,
-    /// Joint angles that homing assigns, rad.
+    /// Joint angles that homing assigns, rad. Only rough angles unless the device is homed by hand.
     pub home: Option<[f64; MAX_JOINTS]>,
+    /// Reference of homing.
+    pub homing: Homing<f64>,
+}
+
+/// Reference from which homing computes the joint angles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Homing<T> {
+    /// A person holds the device in its home pose.
+    #[default]
+    Hand,
+    /// Index marks of the encoders, each at its encoder's `offset`.
+    Index,
+    /// Mechanical stops at these joint angles (rad), each at or beyond one of its joint's limits.
+    Stop([T; MAX_JOINTS]),
+}
+
+impl<T: Copy> Homing<T> {
+    /// Converts the angles with `convert`.
+    pub fn map<U>(self, convert: impl FnMut(T) -> U) -> Homing<U> {
+        match self {
+            Self::Hand => Homing::Hand,
+            Self::Index => Homing::Index,
+            Self::Stop(angles) => Homing::Stop(angles.map(convert)),
+        }
+    }
 }
 
 impl Description {

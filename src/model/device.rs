@@ -2,7 +2,7 @@
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::description::{Description, DescriptionError};
+use crate::model::description::{Description, DescriptionError, Homing};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose, shared_shaping};
 use crate::model::motor::Motor;
 use crate::model::padding::{pad, to_joints};
@@ -28,6 +28,13 @@ pub struct Device<T: Real> {
     pub joints: [Joint<T>; MAX_JOINTS],
     /// Joint angles that homing assigns, rad.
     pub home: Option<[T; MAX_JOINTS]>,
+    /// Reference of homing. Earlier backups have none.
+    #[serde(default = "by_hand")]
+    pub homing: Homing<T>,
+}
+
+fn by_hand<T>() -> Homing<T> {
+    Homing::Hand
 }
 
 /// One joint: encoder, motor, friction, limits.
@@ -69,8 +76,11 @@ impl<T: Real> Device<T> {
                 let sign = if encoder.inverted { -1.0 } else { 1.0 };
                 scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
                 joint.offset = r(match description.home {
-                    Some(home) => offset_on_count(encoder.offset, home[index], scale),
-                    None => encoder.offset,
+                    // An index mark is at count 0, and home between two counts.
+                    Some(home) if description.homing != Homing::Index => {
+                        offset_on_count(encoder.offset, home[index], scale)
+                    }
+                    _ => encoder.offset,
                 });
                 if mechanism.repeats(index) {
                     joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
@@ -88,6 +98,7 @@ impl<T: Real> Device<T> {
             weight: description.gravity.iter().take(spec.gravity).any(|g| *g != 0.0),
             joints,
             home: description.home.map(|home| home.map(r)),
+            homing: description.homing.map(r),
         })
     }
 
@@ -99,6 +110,7 @@ impl<T: Real> Device<T> {
             weight: self.weight,
             joints: self.joints.map(|joint| joint.cast()),
             home: self.home.map(|home| home.map(cast)),
+            homing: self.homing.map(cast),
         }
     }
 

@@ -17,16 +17,18 @@ pub enum State {
     CheckingPolarity,
     /// Bridges float until the fault is cleared.
     Fault,
+    /// A small force pushes one joint at a time against its stop, to home the device.
+    Homing,
 }
 
 impl State {
     /// Every state, in the order of its number in telemetry.
-    pub const ALL: [Self; 4] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault];
+    pub const ALL: [Self; 5] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault, Self::Homing];
 
     /// Returns true if the bridges drive the motors.
     pub const fn drives(self) -> bool {
         match self {
-            Self::Armed | Self::CheckingPolarity => true,
+            Self::Armed | Self::CheckingPolarity | Self::Homing => true,
             Self::Disarmed | Self::Fault => false,
         }
     }
@@ -183,6 +185,9 @@ faults! {
     /// A winding's resistance differs from the resistance in the device file; value: Ω.
     ResistanceMismatch = 40, "a motor's resistance is not the one in its device file",
         "measure the winding at the motor's terminals: correct the device file if it is wrong; otherwise the current sensor or a contact is at fault";
+    /// A joint did not stand still at its stop, twice at the same angle; value: error of the angle, or motion, rad.
+    StopMissing = 41, "a joint pushed to its stop met something else, or nothing",
+        "free the joints' way to their stops and keep hands off; check `stop` and `limits` in the device file; hold the device in its home pose and run `haptic home`, then `haptic polarity` and `haptic home --key`";
 }
 
 impl Fault {
@@ -190,7 +195,12 @@ impl Fault {
     pub const fn loses_counts(self) -> bool {
         matches!(
             self,
-            Self::EncoderJump | Self::EncoderStall | Self::EncoderLoss | Self::EncoderIllegal | Self::IndexMismatch
+            Self::EncoderJump
+                | Self::EncoderStall
+                | Self::EncoderLoss
+                | Self::EncoderIllegal
+                | Self::IndexMismatch
+                | Self::StopMissing
         )
     }
 }

@@ -65,6 +65,18 @@ pub enum Refusal {
     Unsettled,
     /// The last press of the dead man's key is too old.
     KeyTooOld,
+    /// The rules have no index period for a joint that is homed by its index mark.
+    NoIndexPeriod(u8),
+    /// A joint has not yet passed its index mark slowly.
+    IndexUnseen(u8),
+    /// The index mark of a joint fits several turns of the encoder within the joint's limits.
+    IndexAmbiguous(u8),
+    /// No turn of the encoder puts the index mark and all angles since within a joint's limits.
+    IndexOutside(u8),
+    /// The device is not homed by stops.
+    NoStops,
+    /// The device's joints have not touched their stops since the home pose was declared.
+    StopsUntouched,
 }
 
 impl core::fmt::Display for Refusal {
@@ -117,6 +129,28 @@ impl core::fmt::Display for Refusal {
             Self::KeyTooOld => f.write_str(
                 "the press of the key arrived too late: press it again; if that happens again, the page, the network or \
                  the computer between key and board is too slow",
+            ),
+            Self::NoIndexPeriod(joint) => write!(
+                f,
+                "the index mark of joint {joint} has no period: `haptic rules --index-period` with the counts between two \
+                 pulses"
+            ),
+            Self::IndexUnseen(joint) => {
+                write!(f, "joint {joint} has not passed its index mark: move it slowly through its range while `haptic home` waits")
+            }
+            Self::IndexAmbiguous(joint) => write!(
+                f,
+                "the index mark of joint {joint} may belong to several turns of its encoder: move the joint \
+                 slowly from one end of its range to the other while `haptic home` waits"
+            ),
+            Self::IndexOutside(joint) => write!(
+                f,
+                "the index mark of joint {joint} contradicts its limits: check `offset`, `limits` and the index period, \
+                 then home again"
+            ),
+            Self::NoStops => f.write_str("the device is not homed by stops: run `haptic home` without --key"),
+            Self::StopsUntouched => f.write_str(
+                "the joints have not touched their stops: run `haptic polarity`, then `haptic home --key`",
             ),
         }
     }

@@ -2,7 +2,9 @@
 //! tool/tests/quick/golden_model.rs compares it with the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, JointFrame, Link, Transmission};
+use haptic_bridge::model::description::{
+    Description, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, Transmission,
+};
 use haptic_bridge::model::motor::Motor;
 use std::f64::consts::TAU;
 use toml::{Table, Value};
@@ -38,6 +40,7 @@ pub fn parse(text: &str) -> Description {
         joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
         home: file.get("home").map(|home| to_array(numbers(&home["q"]))),
+        homing: Homing::Hand,
     }
 }
 

@@ -5,7 +5,7 @@ pub mod device_file;
 
 use haptic_bridge::math::Real;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, JointFrame, Link};
 use haptic_bridge::render::scene::{FeedForward, Surface, Wall};
 use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
@@ -144,7 +144,7 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
         }
     }
     let handle_mass = if kind.spec().name == "paddles" { 0.0 } else { draw.log_uniform(1.0e-3, 0.3) };
-    Description { kind, gravity, geometry, links, joints, handle_mass, home: None }
+    Description { kind, gravity, geometry, links, joints, handle_mass, home: None, homing: Homing::Hand }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

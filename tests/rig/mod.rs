@@ -10,7 +10,7 @@ use haptic_bridge::control::{Beat, Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::Motor;
@@ -88,6 +88,7 @@ pub fn paddle() -> Description {
         joints: [joint(), Joint::default(), Joint::default()],
         handle_mass: 0.0,
         home: Some([0.0; MAX_JOINTS]),
+        homing: Homing::Hand,
     }
 }
 
@@ -103,6 +104,7 @@ pub fn five_bar() -> Description {
         joints: [joint, joint, Joint::default()],
         handle_mass: 0.01,
         home: Some([2.4, 0.7, 0.0]),
+        homing: Homing::Hand,
     }
 }
 
@@ -413,4 +415,9 @@ impl Rig {
     pub fn motors_are_off(&self) -> bool {
         !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.torques() == Torques::default()
     }
+}
+
+/// Returns the paddle with its upper stop at 1.02 rad, beyond its limit of 1 rad.
+pub fn paddle_with_stop() -> Description {
+    Description { homing: Homing::Stop([1.02, 0.0, 0.0]), ..paddle() }
 }

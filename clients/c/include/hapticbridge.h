@@ -97,6 +97,11 @@
 #define HB_FAULT 3
 
 /*
+ hb_state.state: `haptic home --key` pushes the joints to their stops one after the other.
+ */
+#define HB_HOMING 4
+
+/*
  A board that this program holds.
  */
 typedef struct hb_board hb_board;
@@ -152,7 +157,7 @@ typedef struct {
    */
   int32_t done;
   /*
-   HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
+   HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY, HB_FAULT or HB_HOMING.
    */
   int32_t state;
   /*

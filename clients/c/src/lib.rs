@@ -56,6 +56,8 @@ pub const HB_ARMED: i32 = 1;
 pub const HB_CHECKING_POLARITY: i32 = 2;
 /// hb_state.state: the motors are off until hb_clear(). hb_state.fault and hb_error() give the reason.
 pub const HB_FAULT: i32 = 3;
+/// hb_state.state: `haptic home --key` pushes the joints to their stops one after the other.
+pub const HB_HOMING: i32 = 4;
 
 /// A board that this program holds.
 pub struct Board(Mutex<Option<Session>>);
@@ -97,7 +99,7 @@ pub struct Request {
 pub struct State {
     /// HB_TAKEN, or the reason why the request does not act.
     pub done: i32,
-    /// HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
+    /// HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY, HB_FAULT or HB_HOMING.
     pub state: i32,
     /// Number of control steps since the board started, which wraps at 2^32.
     pub step: u32,
@@ -124,7 +126,7 @@ pub struct State {
 }
 
 const _: () = assert!(HB_ARMED == BoardState::Armed as i32 && HB_FAULT == BoardState::Fault as i32);
-const _: () = assert!(HB_DISARMED == BoardState::Disarmed as i32);
+const _: () = assert!(HB_DISARMED == BoardState::Disarmed as i32 && HB_HOMING == BoardState::Homing as i32);
 const _: () = assert!(HB_CHECKING_POLARITY == BoardState::CheckingPolarity as i32);
 
 impl From<&ForceAnswer> for State {

@@ -43,7 +43,7 @@ impl State {
     fn taken(&self) -> bool {
         self.reply.done == ForceDone::Taken
     }
-    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity, Fault or Homing.
     #[getter]
     fn state(&self) -> &'static str {
         STATES[self.reply.state as usize]
@@ -224,7 +224,7 @@ impl Board {
         Ok(dict)
     }
 
-    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity, Fault or Homing.
     #[getter]
     fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
         self.with(py, |open| Ok(STATES[open.session.status()?.state as usize]))

@@ -362,6 +362,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
     }
     line("\n[home]\nq", example.home.into(), "rad, the pose in which you hold the device for `haptic home`");
+    line("# by", "\"hand\"".into(), "or \"index\" or \"stop\": docs/files.md");
     text
 }
 

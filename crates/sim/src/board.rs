@@ -334,7 +334,7 @@ impl SimulatedBoard {
             (Support::None, _) if !stays => Support::None,
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
-            (_, State::CheckingPolarity) => Support::Carried,
+            (_, State::CheckingPolarity | State::Homing) => Support::Carried,
             (_, State::Disarmed | State::Fault) => self.options.support,
         };
         if required != now {

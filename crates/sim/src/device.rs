@@ -4,7 +4,7 @@ use super::encoder::EncoderModel;
 use super::hand::Hand;
 use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
-use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::description::{Description, DescriptionError, Homing};
 
 /// Options of the simulation of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +20,8 @@ pub struct Options {
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
     /// (tool/tests/quick/simulated_device.rs).
     pub substep: f64,
-    /// Distance of a joint's mechanical stop beyond its limits, rad; joints without limits have no stop.
+    /// Distance of a joint's mechanical stop beyond its limits, rad, unless the description names the stop; joints
+    /// without limits have no stop.
     pub stop_margin: f64,
     /// True if the linkage has a soft stop before every singularity, because a simulated hand would fold a device
     /// without joint limits.
@@ -102,10 +103,16 @@ impl SimulatedDevice {
         }
         let joints = description.kind.spec().joints;
         let start = options.start.or(description.home).ok_or(DeviceError::NoStart)?;
-        let stops = description.joints.map(|joint| {
-            joint.limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |(low, high)| {
-                (low - options.stop_margin, high + options.stop_margin)
-            })
+        let stops = core::array::from_fn(|index| {
+            let Some((low, high)) = description.joints[index].limits else {
+                return (f64::NEG_INFINITY, f64::INFINITY);
+            };
+            let (first, last) = (low - options.stop_margin, high + options.stop_margin);
+            match description.homing {
+                Homing::Stop(stops) if stops[index] <= low => (stops[index], last),
+                Homing::Stop(stops) => (first, stops[index]),
+                Homing::Hand | Homing::Index => (first, last),
+            }
         });
         let mut plant = Plant::new(description, start, options.friction, stops)?;
         if options.soft_stop {

@@ -439,7 +439,7 @@ pub(super) fn swing_angle(radians_per_count: f32, lever: f32) -> f32 {
 
 /// Returns stiffness (N m/rad) and damping (N m s/rad) that pull a joint of this inertia (kg m²) back with the angular
 /// frequency `back` (rad/s), almost without ringing.
-fn spring_and_damper(inertia: f32, back: f32) -> (f32, f32) {
+pub(super) fn spring_and_damper(inertia: f32, back: f32) -> (f32, f32) {
     (inertia * back * back, 1.4 * inertia * back)
 }
 

@@ -2,7 +2,8 @@
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{Description, Homing};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
@@ -104,7 +105,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         scenes,
         warnings,
     };
-    args.json.answer(&report, &readable(&report, &tip_in_words(&file.description)))
+    let tip_and_home = tip_in_words(&file.description) + homing_in_words(&file.description);
+    args.json.answer(&report, &readable(&report, &tip_and_home))
 }
 
 fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
@@ -170,7 +172,7 @@ fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture
     drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))
 }
 
-fn readable(report: &Report, tip: &str) -> String {
+fn readable(report: &Report, tip_and_home: &str) -> String {
     let mut text = format!(
         "{}: sound: {}, {}{} of {} and {}\n",
         report.path,
@@ -183,7 +185,7 @@ fn readable(report: &Report, tip: &str) -> String {
     for line in report.summary.lines() {
         text.push_str(&format!("  {line}\n"));
     }
-    text.push_str(tip);
+    text.push_str(tip_and_home);
     text.push_str(&format!("  {MOTORS_AND_ENCODERS}\n"));
     for lack in &report.lacks {
         text.push_str(&format!("  before a real board arms: {lack}\n"));
@@ -240,6 +242,18 @@ fn readable(report: &Report, tip: &str) -> String {
         }
     }
     text
+}
+
+/// Describes how a board learns the joint angles.
+fn homing_in_words(description: &Description) -> &'static str {
+    match description.homing {
+        _ if description.home.is_none() => "",
+        Homing::Hand => "  homed by hand: `haptic home` declares the home pose\n",
+        Homing::Index => "  homed by index marks: move each joint slowly over its mark while `haptic home` waits\n",
+        Homing::Stop(_) => {
+            "  homed by stops: `haptic home` roughly in the home pose, `haptic polarity`, then `haptic home --key`\n"
+        }
+    }
 }
 
 /// Describes the force and the energy that a person at the tip can meet.

@@ -94,6 +94,7 @@ pub fn state_in_words(state: State) -> &'static str {
         State::Disarmed => "disarmed (motors off, the device moves freely)",
         State::Armed => "armed",
         State::CheckingPolarity => "checking motor polarity",
+        State::Homing => "homing: pushing a joint to its stop",
         State::Fault => "fault (motors off until it is cleared)",
     }
 }

@@ -3,7 +3,7 @@
 use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
-    Cogging, Description, Encoder, EncoderAt, Joint, Link, Stribeck, StructuralMode, Transmission,
+    Cogging, Description, Encoder, EncoderAt, Homing, Joint, Link, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::motor::Motor;
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, PowerStage, SimulatedDevice, Waypoint};
@@ -31,6 +31,7 @@ fn paddle(viscous: f64, coulomb: f64) -> Description {
         joints: [joint(1e-3, viscous, coulomb), Joint::default(), Joint::default()],
         handle_mass: 0.0,
         home: Some([0.0; 3]),
+        homing: Homing::Hand,
     }
 }
 
@@ -45,6 +46,7 @@ fn five_bar() -> Description {
         joints: [joint(8e-4, 0.0, 0.0), joint(3e-4, 0.0, 0.0), Joint::default()],
         handle_mass: 0.05,
         home: Some([2.3, 0.84, 0.0]),
+        homing: Homing::Hand,
     }
 }
 

@@ -157,7 +157,7 @@ function picture(p) {
   view.recent.push(p.trail); if (view.recent.length > 9) view.recent.shift();
   if (view.trail.length > 1500) view.trail.splice(0, view.trail.length - 1500);
   document.body.dataset.state = p.state;
-  $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
+  $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault", Homing: "homing" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
   // A new page takes command, unless another page has it; so does the page of a simulation that lost it in the background.
