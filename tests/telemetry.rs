@@ -1,7 +1,7 @@
 //! Telemetry has a row for every step that the stream keeps, and reports the exact number of missing rows.
 
 use crate::common::property_config;
-use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Columns, Field, Fields, Frames, Packer, RowShape, StreamRequest};
 use haptic_bridge::control::frame::StepRecord;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::render::step_result::{AtWalls, DeviceState};
@@ -24,7 +24,7 @@ fn frame(step: u32) -> StepRecord {
 }
 
 fn width(batch: &Batch) -> usize {
-    Fields(batch.fields).bytes(usize::from(batch.axes))
+    Fields(batch.fields).bytes(batch.shape())
 }
 
 fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
@@ -33,7 +33,7 @@ fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
 
 fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
     let mut packer = Packer::default();
-    packer.start(&StreamRequest { fields, divider, stream: 41 }, axes);
+    packer.start(&StreamRequest { fields, divider, stream: 41 }, RowShape::from(axes));
     packer
 }
 
@@ -195,7 +195,7 @@ fn the_table_in_the_docs_agrees_with_the_fields() {
     for (row, field) in rows.iter().zip(Field::ALL) {
         assert_eq!(row[0], format!("`{}`", field.name()));
         assert_eq!((row[1], row[3]), (field.unit(), field.meaning()), "{field:?}");
-        assert_eq!(row[2].starts_with("per "), field.is_vector(), "{field:?}");
+        assert_eq!(row[2].starts_with("per "), field.columns() != Columns::One, "{field:?}");
     }
     let usual = page.split("`--fields usual` is ").nth(1).unwrap().split('.').next().unwrap();
     for field in Field::ALL {

@@ -314,6 +314,12 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
         put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
+    for (index, joint) in device.sensed.iter().enumerate() {
+        let mut into = table(&mut entries, "[[sensed]]", index);
+        into.number("counts_per_turn", TAU / f64::from(joint.radians_per_count.abs()), "");
+        into.number("offset", joint.offset.into(), "rad");
+        into.flag("inverted", joint.radians_per_count < 0.0);
+    }
     if let Some(home) = device.home {
         table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
     }

@@ -111,6 +111,7 @@ impl Service {
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
+            encoders: self.hardware.encoders as u8,
             real: self.hardware.real,
             carrier_hz,
             delay_samples,
@@ -384,7 +385,9 @@ fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
         });
         joint.offset.is_finite() && joint.viscous.is_finite() && joint.counts_per_turn >= 0 && limits && motor
     });
+    let sensed = (device.sensed.iter())
+        .all(|joint| joint.radians_per_count.is_finite() && joint.radians_per_count != 0.0 && joint.offset.is_finite());
     let pose = device.home.unwrap_or_default();
     let mechanism = device.mechanism.is_finite_at::<K>(&pose);
-    if usable && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
+    if usable && sensed && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
 }

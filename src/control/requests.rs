@@ -1,5 +1,6 @@
 //! Requests to the control loop between two steps, and their replies.
 
+use super::sensed::SensedEncoders;
 use super::{ControlLoop, Rules, watch};
 use crate::control::program::Program;
 use crate::drive::stage::Stage;
@@ -246,6 +247,7 @@ where
                 self.homed = false;
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
+                self.sensed = SensedEncoders::default();
                 // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.result = StepResult::default();
                 self.now.result.parallel = 1.0;
@@ -291,6 +293,7 @@ where
         }
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
         program.controller.home(&self.now.counts, &home);
+        self.sensed.home();
         self.homed = true;
         self.keep_polarity_near_its_home();
         self.first_index = [None; MAX_JOINTS];

@@ -26,7 +26,12 @@ pub struct Description {
     pub handle_mass: f64,
     /// Joint angles that homing assigns, rad.
     pub home: Option<[f64; MAX_JOINTS]>,
+    /// Encoders without motors, first to last. [`Encoder::offset`] is the angle at the home pose.
+    pub sensed: [Option<Encoder>; MAX_SENSED],
 }
+
+/// Maximum number of encoders without motors: those of a gimbal.
+pub const MAX_SENSED: usize = 3;
 
 impl Description {
     /// Returns the device without the inertia of motors behind a transmission.

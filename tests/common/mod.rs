@@ -144,7 +144,7 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
         }
     }
     let handle_mass = if kind.spec().name == "paddles" { 0.0 } else { draw.log_uniform(1.0e-3, 0.3) };
-    Description { kind, gravity, geometry, links, joints, handle_mass, home: None }
+    Description { kind, gravity, geometry, links, joints, handle_mass, home: None, sensed: [None; 3] }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

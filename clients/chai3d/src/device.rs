@@ -1,6 +1,6 @@
 //! The only device that CHAI3D finds: a board, in CHAI3D's frame, with a tick of 1 ms.
 
-use haptic_host::frame::Axes;
+use haptic_host::frame::{Axes, rotation};
 use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
 use haptic_host::haptic_bridge::control::host_force::MAX_HELD_FORCE;
 use haptic_host::haptic_bridge::model::device::Device as BoardDevice;
@@ -154,6 +154,12 @@ impl HdDevice {
     pub fn velocity(&self) -> Option<[f64; 3]> {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
+    }
+    /// Returns the rotation matrix of the handle at the last tick, by rows; `None` while the board is lost.
+    pub fn rotation(&self) -> Option<[[f64; 3]; 3]> {
+        self.session.as_ref()?;
+        let matrix = self.axes.matrix();
+        Some((matrix * rotation(&self.last.sensed) * matrix.transpose()).transpose().into())
     }
     /// Sends a force (N), waits for the next tick and reads the state. Sends zero and returns false for an invalid
     /// force. While the board is lost, tries to reopen it every 0.5 s.

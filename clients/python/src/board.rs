@@ -5,11 +5,12 @@ use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
 use haptic_host::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic_host::haptic_bridge::board::telemetry::Fields;
+use haptic_host::haptic_bridge::board::telemetry::{Fields, RowShape};
 use haptic_host::haptic_bridge::render::controller::Gains;
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic_host::haptic_bridge::safety::fault::FaultRecord;
 use haptic_host::haptic_bridge::safety::refusal::Refusal;
+use haptic_host::frame::rotation;
 use haptic_host::link::{self, BoardError, PortSpec, Row, Session, columns};
 use haptic_host::words::fault_and_remedy;
 use haptic_show::recorder::STATES;
@@ -87,6 +88,16 @@ impl State {
     fn qd<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.qd)
     }
+    /// Angles of the encoders without motors, rad, shape (3,).
+    #[getter]
+    fn sensed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.reply.sensed)
+    }
+    /// Orientation of the handle by these angles, a rotation matrix, shape (3, 3) (docs/files.md).
+    #[getter]
+    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        array(py, rotation(&self.reply.sensed).transpose().as_slice().to_vec(), &[3, 3])
+    }
     /// Commanded joint torques, after all limits, N m, shape (3,).
     #[getter]
     fn torque<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
@@ -116,7 +127,7 @@ fn fault_text(fault: &FaultRecord) -> String {
 #[derive(Clone, Copy)]
 struct Stream {
     fields: Fields,
-    axes: usize,
+    shape: RowShape,
 }
 
 /// The state of an open board.
@@ -352,10 +363,10 @@ impl Board {
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
         self.with(py, |open| {
-            let axes = open.session.device()?.map_or(0, |device| device.axes());
+            let shape = RowShape::of(open.session.device()?.as_ref());
             open.session.start_stream(fields, divider)?;
-            open.stream = Some(Stream { fields, axes });
-            Ok(names(fields, axes))
+            open.stream = Some(Stream { fields, shape });
+            Ok(names(fields, shape))
         })
     }
 
@@ -367,7 +378,7 @@ impl Board {
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
         let (mut rows, mut left) = (Vec::new(), timeout);
         let width =
-            self.with(py, |open| Ok(open.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
+            self.with(py, |open| Ok(open.stream.map_or(0, |stream| names(stream.fields, stream.shape).len())))?;
         loop {
             let wait = left.min(SIGNAL_INTERVAL);
             rows.append(&mut self.with(py, |open| Ok(open.session.rows(wait)?))?);
@@ -421,8 +432,8 @@ impl Board {
     }
 }
 
-fn names(fields: Fields, axes: usize) -> Vec<String> {
-    let own = columns(fields, axes).into_iter().map(|column| column.label);
+fn names(fields: Fields, shape: RowShape) -> Vec<String> {
+    let own = columns(fields, shape).into_iter().map(|column| column.label);
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 

@@ -13,6 +13,7 @@ use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::MAX_SENSED;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
@@ -132,6 +133,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
 
     let hardware = Hardware {
         axes: MAX_JOINTS,
+        encoders: MAX_JOINTS + MAX_SENSED,
         real: false,
         bus_sensed: false,
         bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },

@@ -21,7 +21,7 @@ use haptic_bridge::control::program::Hardware;
 use haptic_bridge::control::{ARM_SECONDS, ControlLoop, HostAction, Rules, Status};
 use haptic_bridge::drive::brushed::UNKNOWN_INDUCTANCE_SHARE;
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, MAX_SENSED};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
@@ -160,6 +160,7 @@ impl SimulatedBoard {
         let wound = description.joints.iter().filter_map(|joint| joint.motor).any(|motor| motor.inductance > 0.0);
         let hardware = Hardware {
             axes: options.axes,
+            encoders: options.axes + MAX_SENSED,
             real: options.strict,
             bus_sensed: true,
             bridge: Bridge {
@@ -376,6 +377,7 @@ impl SimulatedBoard {
     /// Adds a row of this step to the stream. As on the chip, a full send buffer drops the row before it is packed, so
     /// that every numbered batch is sent.
     fn record(&mut self) {
+        self.machine.control_loop.sense(&self.device.inputs());
         let frame = self.machine.control_loop.frame();
         if !self.packer.wants(frame.step) {
             return;
@@ -481,8 +483,8 @@ impl SimulatedBoard {
         }
         match after {
             AfterReply::Nothing => {}
-            AfterReply::Stream(request, axes) => {
-                self.packer.start(&request, axes);
+            AfterReply::Stream(request, shape) => {
+                self.packer.start(&request, shape);
                 self.dropped_rows = 0;
             }
             // There is no boot loader to enter; a real boot loader would end with a restart.

@@ -33,7 +33,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        let axes = Wiring::of_board(kind).encoders.len();
+        let axes = Wiring::of_board(kind).motors.len();
         let mut expected = vec![0.0; axes];
         rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        for axis in 0..Wiring::of_board(kind).encoders.len() {
+        for axis in 0..Wiring::of_board(kind).motors.len() {
             let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
@@ -106,7 +106,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
         let page = read_to_string(folder.join(format!("wiring-{}.md", wiring.name))).expect("a page");
         let table = page.lines().filter(|line| line.starts_with('|'));
         let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();
-        let encoders = wiring.encoders.iter().flat_map(|wires| [wires.pins[0], wires.pins[1], wires.index]);
+        let encoders = wiring.encoders.iter().flat_map(|wires| wires.pins.into_iter().chain(wires.index));
         let motors = wiring.motors.iter().flat_map(|motor| {
             let sensors = motor.sensors.iter().map(|(channel, _)| Pin::of_channel(*channel));
             motor.gates.into_iter().chain(sensors)

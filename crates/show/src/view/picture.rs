@@ -28,7 +28,8 @@ pub const FIELDS: Fields = Fields(
         | Field::Saturated.bit()
         | Field::Energy.bit()
         | Field::Counts.bit()
-        | Field::State.bit(),
+        | Field::State.bit()
+        | Field::Sensed.bit(),
 );
 
 /// Time over which ripple, saturation and power are computed, s.
@@ -87,6 +88,8 @@ pub struct Numbers {
     pub inertia: Option<Flat>,
     /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
+    /// Angles of the encoders without motors, rad.
+    pub sensed: Vec<f64>,
 }
 
 /// Returns the wall that the tip is deepest in or nearest to, and its normal.
@@ -167,6 +170,7 @@ impl<'a> Newest<'a> {
                 .map(|axis| share_matching(self.recent_values(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
+            sensed: self.vector(Field::Sensed, device.sensed.len()),
             ..Numbers::default()
         };
         let Some(pose) = pose else { return (geometry, numbers) };
