@@ -90,10 +90,11 @@ impl DeviceFile {
             }
         }
         let sensed = self.sensed_names.len();
-        if let Some(missing_inputs) = (self.spec().joints + sensed).checked_sub(BOARD_ENCODERS).filter(|count| *count > 0) {
+        let surplus = (self.spec().joints + sensed).saturating_sub(BOARD_ENCODERS);
+        if surplus > 0 {
             missing.push(format!(
-                "a board has {BOARD_ENCODERS} encoder inputs, {missing_inputs} too few for the joints and {sensed} \
-                 [[sensed]]: remove {missing_inputs} of them"
+                "a board has {BOARD_ENCODERS} encoder inputs, {surplus} too few for the joints and {sensed} [[sensed]]: \
+                 remove {surplus} of them"
             ));
         }
         if self.description.home.is_none() {
@@ -129,9 +130,8 @@ fn device(top: &Table<'_>) -> Result<Contents, FileError> {
         let reason = "this looks like a scene file, not a device file";
         return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
     }
-    top.refuse_unknown_keys(&[
-        "name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "sensed", "supply",
-    ]);
+    let tables = ["geometry", "link", "joint", "handle", "home", "sensed"];
+    top.refuse_unknown_keys(&[&["name", "mechanism", "gravity", "supply"][..], &tables].concat());
     let name = top.keep(name(top), "");
     let kind = kind(top)?;
     let spec = kind.spec();
@@ -155,7 +155,8 @@ fn device(top: &Table<'_>) -> Result<Contents, FileError> {
 
     let (sensed_names, encoders): (Vec<String>, Vec<Encoder>) = sensed.into_iter().unzip();
     let sensed = std::array::from_fn(|index| encoders.get(index).copied());
-    let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home, sensed };
+    let description =
+        Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home, sensed };
     let mechanism =
         AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {

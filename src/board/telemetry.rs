@@ -429,7 +429,9 @@ mod tests {
         ];
         assert!(Field::ALL.iter().map(described).eq(expected));
         let mut row = Vec::<u8, 16>::new();
-        Field::for_each_number(Fields(8 | 32 | 64), RowShape::from(2), &frame, |number| row.extend_from_slice(number).unwrap());
+        Field::for_each_number(Fields(8 | 32 | 64), RowShape::from(2), &frame, |number| {
+            row.extend_from_slice(number).unwrap()
+        });
         // 0.2 is 0x3E4CCCCD (IEEE 754), 500 is 0x1F4.
         assert_eq!(row[..], [0xCD, 0xCC, 0x4C, 0x3E, 2, 4, 0xF4, 1, 0, 0]);
     }

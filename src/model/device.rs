@@ -29,6 +29,7 @@ pub struct Device<T: Real> {
     /// Joint angles that homing assigns, rad.
     pub home: Option<[T; MAX_JOINTS]>,
     /// Encoders without motors.
+    #[serde(default)]
     pub sensed: Vec<Sensed<T>, MAX_SENSED>,
 }
 

@@ -93,6 +93,13 @@ pub fn paddle() -> Description {
     }
 }
 
+/// Returns the paddle with two encoders without motors, of 1000 counts per turn. The second is inverted, and at 0.5 rad
+/// in the home pose.
+pub fn sensing_paddle() -> Description {
+    let first = Encoder { counts_per_turn: 1_000.0, offset: 0.0, inverted: false };
+    Description { sensed: [Some(first), Some(Encoder { offset: 0.5, inverted: true, ..first }), None], ..paddle() }
+}
+
 /// Returns a five-bar whose elbows stretch at joint angles well within its limits.
 pub fn five_bar() -> Description {
     let link = Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };

@@ -275,6 +275,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
 mod tests {
     use super::*;
     use haptic_host::device_file::DeviceFile;
+    use haptic_host::haptic_bridge::model::description::Encoder;
     use haptic_host::link::{Board, Wire};
     use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
     use std::io;
@@ -311,6 +312,7 @@ mod tests {
             joint.motor.as_mut().unwrap().verified = true;
             joint.limits = Some((-4.0, 4.0));
         }
+        file.description.sensed = [Some(Encoder { counts_per_turn: 4_000.0, offset: 0.0, inverted: false }); 3];
         let options = BoardOptions { strict: true, ..BoardOptions::default() };
         let board = SharedBoard::new(ready_board(&file, options).unwrap());
         let (shared, plugged) = (board.clone(), Arc::new(AtomicBool::new(true)));
@@ -327,6 +329,24 @@ mod tests {
         session.wait_for_polarity().unwrap().require_pass().unwrap();
         assert!(device.arm());
         (board, device, plugged)
+    }
+
+    /// The five-bar lies on the table: its x axis points to the operator's left.
+    #[test]
+    fn the_handle_turns_by_the_encoders_without_motors() {
+        let (board, mut device, _) = device();
+        for (counts, expected) in [
+            ([0, 0, 0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+            ([1_000, 0, 0], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+            ([0, 0, 1_000], [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        ] {
+            board.lock().device_mut().set_sensed_counts(counts);
+            device.force([0.0; 3]);
+            device.force([0.0; 3]);
+            let found = device.rotation().expect("a board");
+            let near = found.as_flattened().iter().zip(expected.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6);
+            assert!(near, "{counts:?}: {found:?}");
+        }
     }
 
     #[test]

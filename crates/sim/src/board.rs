@@ -21,6 +21,7 @@ use haptic_bridge::control::program::Hardware;
 use haptic_bridge::control::{ARM_SECONDS, ControlLoop, HostAction, Rules, Status};
 use haptic_bridge::drive::brushed::UNKNOWN_INDUCTANCE_SHARE;
 use haptic_bridge::drive::stage::Bridge;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, MAX_SENSED};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
@@ -59,6 +60,8 @@ pub struct BoardOptions {
     pub support: Support,
     /// Number of motor axes.
     pub axes: usize,
+    /// Number of encoder inputs.
+    pub encoders: usize,
     /// The faults present at power-on.
     pub faults: BoardFaults,
     /// Size of the send buffer, bytes. A full buffer drops telemetry and counts the dropped rows.
@@ -76,6 +79,7 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
+            encoders: MAX_JOINTS + MAX_SENSED,
             faults: BoardFaults::default(),
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
@@ -160,7 +164,7 @@ impl SimulatedBoard {
         let wound = description.joints.iter().filter_map(|joint| joint.motor).any(|motor| motor.inductance > 0.0);
         let hardware = Hardware {
             axes: options.axes,
-            encoders: options.axes + MAX_SENSED,
+            encoders: options.encoders,
             real: options.strict,
             bus_sensed: true,
             bridge: Bridge {
