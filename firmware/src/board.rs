@@ -105,7 +105,7 @@ pub trait Board {
     /// Number of motors that the board can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
     /// Number of encoder inputs, those of the motors first, at most [`MAX_JOINTS`].
-    const ENCODERS: usize = Self::AXES;
+    const ENCODERS: u8 = Self::AXES as u8;
     /// Data of the bridges for the drive.
     const BRIDGE: Bridge;
     /// Limits that cannot be raised over USB.

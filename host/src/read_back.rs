@@ -316,7 +316,8 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     }
     for (index, joint) in device.sensed.iter().enumerate() {
         let mut into = table(&mut entries, "[[sensed]]", index);
-        into.number("counts_per_turn", TAU / f64::from(joint.radians_per_count.abs()), "");
+        let counts_per_turn = TAU / f64::from(joint.radians_per_count.abs());
+        into.number("counts_per_turn", f64::from(counts_per_turn as f32), "");
         into.number("offset", joint.offset.into(), "rad");
         into.flag("inverted", joint.radians_per_count < 0.0);
     }

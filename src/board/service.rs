@@ -111,7 +111,7 @@ impl Service {
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
-            encoders: self.hardware.encoders as u8,
+            encoders: self.hardware.encoders,
             real: self.hardware.real,
             carrier_hz,
             delay_samples,

@@ -25,7 +25,7 @@ pub struct Hardware {
     /// Number of motor axes.
     pub axes: usize,
     /// Number of encoder inputs, those of the motor axes included.
-    pub encoders: usize,
+    pub encoders: u8,
     /// True for real motors, which need verified data, limits, homing and a polarity check.
     pub real: bool,
     /// True if the bus voltage is measured.
@@ -179,9 +179,9 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         if joints > hardware.axes {
             return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
         }
-        let (sensed, left) = (device.sensed.len(), hardware.encoders.saturating_sub(joints));
+        let (sensed, inputs) = (device.sensed.len() as u8, hardware.encoders);
+        let left = inputs.saturating_sub(joints as u8);
         if sensed > left {
-            let (sensed, inputs, left) = (sensed as u8, hardware.encoders as u8, left as u8);
             return Err(Refusal::TooManySensed { sensed, inputs, left });
         }
         let controller = AnyController::new(device, scene)?;

@@ -152,7 +152,7 @@ impl Board {
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
         let hardware =
-            Hardware { axes: MAX_JOINTS, encoders: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
+            Hardware { axes: MAX_JOINTS, encoders: 3, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let board_limits = Limits::default();
         let mut board = Self {
             machine: RigMachine {

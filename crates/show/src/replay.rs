@@ -133,7 +133,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
 
     let hardware = Hardware {
         axes: MAX_JOINTS,
-        encoders: MAX_JOINTS + MAX_SENSED,
+        encoders: (MAX_JOINTS + MAX_SENSED) as u8,
         real: false,
         bus_sensed: false,
         bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },

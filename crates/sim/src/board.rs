@@ -61,7 +61,7 @@ pub struct BoardOptions {
     /// Number of motor axes.
     pub axes: usize,
     /// Number of encoder inputs.
-    pub encoders: usize,
+    pub encoders: u8,
     /// The faults present at power-on.
     pub faults: BoardFaults,
     /// Size of the send buffer, bytes. A full buffer drops telemetry and counts the dropped rows.
@@ -79,7 +79,7 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
-            encoders: MAX_JOINTS + MAX_SENSED,
+            encoders: (MAX_JOINTS + MAX_SENSED) as u8,
             faults: BoardFaults::default(),
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),

@@ -125,7 +125,7 @@ impl PressedBoard {
         };
         let hardware = Hardware {
             axes: MAX_JOINTS,
-            encoders: MAX_JOINTS + MAX_SENSED,
+            encoders: (MAX_JOINTS + MAX_SENSED) as u8,
             real: false,
             bus_sensed: false,
             timer_hz: super::TIMER_HZ,

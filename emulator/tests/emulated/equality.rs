@@ -76,7 +76,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
         let hardware = Hardware {
             axes: Wiring::of_board(kind).motors.len(),
-            encoders: Wiring::of_board(kind).encoders.len(),
+            encoders: Wiring::of_board(kind).encoders.len() as u8,
             real: true,
             bus_sensed: true,
             bridge,

@@ -60,7 +60,7 @@ impl Board for OdriveV3 {
     /// identified only while EN_GATE is high, so arming reads their registers back.
     const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('A', 6), Pin::new('C', 5)], open_pins: &[] };
     const AXES: usize = AXES;
-    const ENCODERS: usize = AXES + 1;
+    const ENCODERS: u8 = AXES as u8 + 1;
     /// Data of the bridges. The current loop has a phase margin of 60 degrees with half a carrier period of delay,
     /// because its bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.
     const BRIDGE: Bridge = Bridge {
