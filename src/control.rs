@@ -33,6 +33,7 @@ pub mod program;
 mod requests;
 mod rules;
 mod saturation;
+mod sensed;
 mod watch;
 
 use crate::control::frame::{Now, Outputs, Samples, StepRecord};
@@ -127,6 +128,7 @@ pub struct ControlLoop<P, S = Axis> {
     /// Counts of the home pose at which the polarity was checked, see `polarity_known`.
     checked_zero: Counts,
     fault: Option<FaultRecord>,
+    sensed: sensed::SensedEncoders,
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -155,6 +157,7 @@ where
             polarity: polarity::PolarityCheck::default(),
             checked_zero: Counts::default(),
             fault: None,
+            sensed: sensed::SensedEncoders::default(),
             now: Now::default(),
             joints: [Joint::default(); MAX_JOINTS],
             period: 1.0 / DEFAULT_RATE_HZ as f32,
@@ -195,7 +198,7 @@ where
     /// Returns the telemetry record of the last step, with the present state.
     #[inline(always)]
     pub fn frame(&self) -> StepRecord {
-        StepRecord::of(&self.now, self.state)
+        StepRecord::of(&self.now, self.state, &self.sensed.angles)
     }
 
     /// Returns the number of control steps since boot, wrapping.

@@ -42,6 +42,7 @@ pub const PADDLE: Description = Description {
     links: [NO_LINK; MAX_LINKS],
     joints: [joint(0.0008, 0.0008, 0.004, 60_000.0), NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0; MAX_JOINTS]),
     homing: Homing::Hand,
 };
@@ -59,6 +60,7 @@ pub const FIVE_BAR: Description = Description {
     ],
     joints: [joint(1.4e-6, 0.0003, 0.002, 10_752.0), joint(1.4e-6, 0.0003, 0.002, 10_752.0), NO_JOINT],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([2.3, 0.84159265358979, 0.0]),
     homing: Homing::Hand,
 };
@@ -80,6 +82,7 @@ pub const FIVE_BAR_TURRET: Description = Description {
         joint(7.0e-5, 0.0008, 0.004, 40_000.0),
     ],
     handle_mass: 0.03,
+    sensed: [None; 3],
     home: Some([0.0, 2.2, 0.94159265358979]),
     homing: Homing::Hand,
 };
@@ -101,6 +104,7 @@ pub const PARALLELOGRAM: Description = Description {
         joint(0.00013548, 0.0005, 0.01, 44_800.0),
     ],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0, 1.2, -0.1]),
     homing: Homing::Hand,
 };
@@ -122,6 +126,7 @@ pub const SERIAL_3R: Description = Description {
         joint(1.0e-5, 0.0005, 0.003, 40_000.0),
     ],
     handle_mass: 0.03,
+    sensed: [None; 3],
     home: Some([0.3, 1.2, 0.8]),
     homing: Homing::Hand,
 };
@@ -143,6 +148,7 @@ pub const DELTA: Description = Description {
         joint(4.65e-5, 0.0002, 0.003, 9753.6),
     ],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([0.6108652381980153; 3]),
     homing: Homing::Hand,
 };
@@ -168,6 +174,7 @@ pub const PADDLES_2: Description = Description {
     links: [NO_LINK; MAX_LINKS],
     joints: [joint(3.4e-4, 0.0008, 0.004, 26_087.0), joint(3.4e-4, 0.0008, 0.004, 26_087.0), NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0; MAX_JOINTS]),
     homing: Homing::Hand,
 };
@@ -188,6 +195,7 @@ pub const CHAIN_1: Description = Description {
     links: [chain_link(0.02, 0.0, [1.0e-6; 3]), NO_LINK, NO_LINK, NO_LINK],
     joints: [Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) }, NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.05, 0.0, 0.0]),
     homing: Homing::Hand,
 };
@@ -209,6 +217,7 @@ pub const CHAIN_2: Description = Description {
         NO_JOINT,
     ],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([0.5, 1.2, 0.0]),
     homing: Homing::Hand,
 };
@@ -230,6 +239,7 @@ pub const CHAIN_3: Description = Description {
         placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.134, Z),
     ],
     handle_mass: 0.015,
+    sensed: [None; 3],
     home: Some([0.0, 0.23, -2.15]),
     homing: Homing::Hand,
 };

@@ -13,6 +13,7 @@ use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
     ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, MAX_MODES,
+    MAX_SENSED,
     Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
@@ -39,7 +40,12 @@ pub struct DeviceFile {
     pub supply: Option<f64>,
     /// `max_current` in the file, A, of each motor for which the supply reduces the current.
     pub max_current_in_file: [Option<f64>; MAX_JOINTS],
+    /// Names of the encoders without motors, one each; empty if the file has none.
+    pub sensed_names: Vec<String>,
 }
+
+/// Encoder inputs of every board (docs/wiring-*.md).
+pub const BOARD_ENCODERS: usize = 3;
 
 impl DeviceFile {
     /// Reads and checks the file at `path`.
@@ -82,6 +88,14 @@ impl DeviceFile {
                 Some(_) => {}
             }
         }
+        let sensed = self.sensed_names.len();
+        let surplus = (self.spec().joints + sensed).saturating_sub(BOARD_ENCODERS);
+        if surplus > 0 {
+            missing.push(format!(
+                "a board has {BOARD_ENCODERS} encoder inputs, {surplus} too few for the joints and {sensed} [[sensed]]: \
+                 remove {surplus} of them"
+            ));
+        }
         if self.description.home.is_none() {
             missing.push("[home] needs q, the pose that homing declares".into());
         }
@@ -91,7 +105,7 @@ impl DeviceFile {
     /// Checks a document.
     pub fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
-            let (name, mut description, mechanism, supply) = device(top)?;
+            let (name, mut description, mechanism, supply, sensed_names) = device(top)?;
             let mut max_current_in_file = [None; MAX_JOINTS];
             for (joint, in_file) in description.joints.iter_mut().zip(&mut max_current_in_file) {
                 let Some((motor, supply)) = joint.motor.as_mut().zip(supply) else { continue };
@@ -101,18 +115,22 @@ impl DeviceFile {
                     motor.max_current = drivable;
                 }
             }
-            Ok(Self { path: document.path().into(), name, description, mechanism, supply, max_current_in_file })
+            let path = document.path().into();
+            Ok(Self { path, name, description, mechanism, supply, max_current_in_file, sensed_names })
         })
     }
 }
 
-/// Reads name, description, lumped coefficients and supply (V).
-fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Option<f64>), FileError> {
+/// Name, description, lumped coefficients, supply (V), and the names of encoders without motors.
+type Contents = (String, Description, AnyMechanism<f64>, Option<f64>, Vec<String>);
+
+fn device(top: &Table<'_>) -> Result<Contents, FileError> {
     if !top.has("mechanism") && ["wall", "spring", "field", "rate_hz", "cutoff_hz"].iter().any(|key| top.has(key)) {
         let reason = "this looks like a scene file, not a device file";
         return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
     }
-    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "supply"]);
+    let tables = ["geometry", "link", "joint", "handle", "home", "sensed"];
+    top.refuse_unknown_keys(&[&["name", "mechanism", "gravity", "supply"][..], &tables].concat());
     let name = top.keep(name(top), "");
     let kind = kind(top)?;
     let spec = kind.spec();
@@ -130,12 +148,15 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     });
     let (home, homing) = top.keep(home(top, &spec, &joints), None).unzip();
     let homing = homing.unwrap_or_default();
+    let sensed = top.keep(sensed(top), Vec::new());
     // The following checks need values without errors.
     top.check_no_errors()?;
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
-    let description =
-        Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home, homing };
+    let (sensed_names, encoders): (Vec<String>, Vec<Encoder>) = sensed.into_iter().unzip();
+    let sensed = std::array::from_fn(|index| encoders.get(index).copied());
+    let gravity = padded(&gravity);
+    let description = Description { kind, gravity, geometry, links, joints, handle_mass, home, homing, sensed };
     let mechanism =
         AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
@@ -161,7 +182,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         let reason = "at the home pose the linkage cannot close: the links do not reach each other";
         return Err(table.error_at("q", impossible(reason, "write the joint angles of a pose the device can take")));
     }
-    Ok((name.to_string(), description, mechanism, supply))
+    Ok((name.to_string(), description, mechanism, supply, sensed_names))
 }
 
 /// Reads the mechanism. Mechanisms of one name differ in the number of joints.
@@ -522,6 +543,27 @@ fn encoder_of(table: &Table<'_>, prismatic: bool) -> Encoder {
         offset: table.number_or("offset", Must::BeFinite, 0.0),
         inverted: table.flag_or("inverted", false),
     }
+}
+
+/// Reads names and data of the encoders without motors.
+fn sensed(top: &Table<'_>) -> Result<Vec<(String, Encoder)>, FileError> {
+    let tables = top.tables("sensed")?;
+    if let Some(surplus) = tables.get(MAX_SENSED) {
+        let reason = format!("there are {} [[sensed]] tables, and a device has {MAX_SENSED} at most", tables.len());
+        return Err(surplus.error_here(impossible(reason, "remove the others")));
+    }
+    let sensed = tables.into_iter().enumerate().map(|(index, table)| {
+        let table = table.with_place(format!("[[sensed]] {index}"));
+        table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted", "name"]);
+        let name = table.keep(table.string("name"), None).map_or(format!("sensed {index}"), String::from);
+        let encoder = Encoder {
+            counts_per_turn: table.required_number("counts_per_turn", Must::BePositive, "counts_per_turn = 4096"),
+            offset: table.number_or("offset", Must::BeFinite, 0.0),
+            inverted: table.flag_or("inverted", false),
+        };
+        (name, encoder)
+    });
+    Ok(sensed.collect())
 }
 
 fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {

@@ -316,6 +316,13 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
         put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
+    for (index, joint) in device.sensed.iter().enumerate() {
+        let mut into = table(&mut entries, "[[sensed]]", index);
+        let counts_per_turn = TAU / f64::from(joint.radians_per_count.abs());
+        into.number("counts_per_turn", f64::from(counts_per_turn as f32), "");
+        into.number("offset", joint.offset.into(), "rad");
+        into.flag("inverted", joint.radians_per_count < 0.0);
+    }
     if let Some(home) = device.home {
         let units = device.mechanism.units();
         let unit = if units.iter().all(|other| other == &units[0]) { units[0].travel } else { "rad or m" };

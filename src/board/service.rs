@@ -112,6 +112,7 @@ impl Service {
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
+            encoders: self.hardware.encoders,
             real: self.hardware.real,
             carrier_hz,
             delay_samples,
@@ -396,7 +397,9 @@ fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
         }),
         Homing::Hand | Homing::Index => true,
     };
+    let sensed = (device.sensed.iter())
+        .all(|joint| joint.radians_per_count.is_finite() && joint.radians_per_count != 0.0 && joint.offset.is_finite());
     let pose = device.home.unwrap_or_default();
     let mechanism = device.mechanism.is_finite_at::<K>(&pose);
-    if usable && stops && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
+    if usable && stops && sensed && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
 }

@@ -76,10 +76,10 @@ const END_POSITION: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    /// Version 2 added the scale of a five-bar's rods, version 3 the reference of homing.
+    /// Version 2 added the scale of a five-bar's rods, version 3 the reference of homing and the encoders without motors.
     const VERSION: u8 = 3;
-    /// Appends homing by hand.
-    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(2, END_POSITION, &[0x00])];
+    /// Appends homing by hand and an empty list.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(2, END_POSITION, &[0x00, 0x00])];
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
@@ -89,7 +89,7 @@ impl Setting for Scene<f32> {
     /// Inserts the defaults: a gain of 1, a held orientation, no posture. Earlier estimators keep their encoding.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
         (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
-        (2, END_POSITION, &[0x00]),
+        (2, END_POSITION, &[0x00, 0x00]),
         (3, END_POSITION, &[0x00]),
     ];
 }

@@ -54,6 +54,7 @@ where
         let counts = self.now.counts;
         if let Some(program) = self.program.as_mut() {
             program.controller.home(&counts, q);
+            self.sensed.home();
             (self.placed, self.homed) = (true, true);
             self.keep_polarity_near_its_home();
             self.set_bounds();

@@ -14,6 +14,7 @@ use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::MAX_SENSED;
 use crate::render::controller::{Push, PushedPlane};
 use crate::render::step_result::StepResult;
 use crate::safety::fault::State;
@@ -164,6 +165,8 @@ pub struct ForceAnswer {
     pub q: [f32; MAX_JOINTS],
     /// Joint velocities, filtered by the scene's estimator, rad/s.
     pub qd: [f32; MAX_JOINTS],
+    /// Angles of the encoders without motors, rad.
+    pub sensed: [f32; MAX_SENSED],
     /// Commanded joint torques after all limits, N m.
     pub torque: [f32; MAX_JOINTS],
     /// Force at the tip that the host's force and contact added, after lease, ramp and limits, N.
@@ -355,6 +358,7 @@ where
             velocity: [0.0; 3],
             q: self.now.result.at.q,
             qd: self.now.result.at.qd,
+            sensed: self.sensed.angles,
             torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,

@@ -1,5 +1,6 @@
 //! Requests to the control loop between two steps, and their replies.
 
+use super::sensed::SensedEncoders;
 use super::{ControlLoop, Rules, watch};
 use crate::control::program::Program;
 use crate::drive::stage::Stage;
@@ -254,6 +255,7 @@ where
                 self.polarity_known = false;
                 self.marks = None;
                 self.forget_marks();
+                self.sensed = SensedEncoders::default();
                 // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.result = StepResult::default();
                 self.now.result.parallel = 1.0;

@@ -32,6 +32,8 @@ pub struct Description {
     pub home: Option<[f64; MAX_JOINTS]>,
     /// Reference of homing.
     pub homing: Homing<f64>,
+    /// Encoders without motors, first to last. [`Encoder::offset`] is the angle at the home pose.
+    pub sensed: [Option<Encoder>; MAX_SENSED],
 }
 
 /// Reference from which homing computes the joint angles.
@@ -56,6 +58,9 @@ impl<T: Copy> Homing<T> {
         }
     }
 }
+
+/// Maximum number of encoders without motors: those of a gimbal.
+pub const MAX_SENSED: usize = 3;
 
 impl Description {
     /// Returns the device without the inertia of motors behind a transmission.

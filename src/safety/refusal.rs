@@ -77,6 +77,15 @@ pub enum Refusal {
     NoStops,
     /// The device's joints have not touched their stops since the home pose was declared.
     StopsUntouched,
+    /// The board has too few encoder inputs for the device's joints and encoders without motors.
+    TooManySensed {
+        /// Encoders of the device without motors.
+        sensed: u8,
+        /// Encoder inputs of the board.
+        inputs: u8,
+        /// Encoder inputs that the device's joints leave.
+        left: u8,
+    },
 }
 
 impl core::fmt::Display for Refusal {
@@ -126,6 +135,11 @@ impl core::fmt::Display for Refusal {
                  shows if the old or the new settings were kept",
             ),
             Self::NotSupported => f.write_str("this board does not support the request"),
+            Self::TooManySensed { sensed, inputs, left } => write!(
+                f,
+                "the board has {inputs} encoder inputs, of which the device's joints leave {left} for its {sensed} \
+                 [[sensed]]: remove those that it cannot read"
+            ),
             Self::KeyTooOld => f.write_str(
                 "the press of the key arrived too late: press it again; if that happens again, the page, the network or \
                  the computer between key and board is too slow",

@@ -144,7 +144,8 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
         }
     }
     let handle_mass = if kind.spec().name == "paddles" { 0.0 } else { draw.log_uniform(1.0e-3, 0.3) };
-    Description { kind, gravity, geometry, links, joints, handle_mass, home: None, homing: Homing::Hand }
+    let (home, homing, sensed) = (None, Homing::Hand, [None; 3]);
+    Description { kind, gravity, geometry, links, joints, handle_mass, home, homing, sensed }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

@@ -34,6 +34,7 @@ pub const COUNTS_PER_TURN: f64 = 60_000.0;
 pub fn hardware() -> Hardware {
     Hardware {
         axes: 3,
+        encoders: 3,
         real: true,
         bus_sensed: true,
         bridge: Bridge { carrier_hz: 20_000.0, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed: true },
@@ -87,9 +88,17 @@ pub fn paddle() -> Description {
         links: [Link::default(); MAX_LINKS],
         joints: [joint(), Joint::default(), Joint::default()],
         handle_mass: 0.0,
+        sensed: [None; 3],
         home: Some([0.0; MAX_JOINTS]),
         homing: Homing::Hand,
     }
+}
+
+/// Returns the paddle with two encoders without motors, of 1000 counts per turn. The second is inverted, and at 0.5 rad
+/// in the home pose.
+pub fn sensing_paddle() -> Description {
+    let first = Encoder { counts_per_turn: 1_000.0, offset: 0.0, inverted: false };
+    Description { sensed: [Some(first), Some(Encoder { offset: 0.5, inverted: true, ..first }), None], ..paddle() }
 }
 
 /// Returns a five-bar whose elbows stretch at joint angles well within its limits.
@@ -103,6 +112,7 @@ pub fn five_bar() -> Description {
         links: [link; MAX_LINKS],
         joints: [joint, joint, Joint::default()],
         handle_mass: 0.01,
+        sensed: [None; 3],
         home: Some([2.4, 0.7, 0.0]),
         homing: Homing::Hand,
     }

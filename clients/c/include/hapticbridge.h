@@ -14,7 +14,7 @@
 /*
  Version of this header. A library of another version has other structures: compare with hb_version().
  */
-#define HB_VERSION 2
+#define HB_VERSION 3
 
 /*
  Return value of a function: success.
@@ -204,6 +204,10 @@ typedef struct {
    Code of the latched fault, see hb_fault_text(); 0 without a fault.
    */
   int32_t fault;
+  /*
+   Angles of the encoders without motors.
+   */
+  float sensed_rad[3];
 } hb_state;
 
 #ifdef __cplusplus

@@ -20,7 +20,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Version of this header. A library of another version has other structures: compare with hb_version().
-pub const HB_VERSION: u32 = 2;
+pub const HB_VERSION: u32 = 3;
 
 /// Return value of a function: success.
 pub const HB_OK: i32 = 0;
@@ -123,6 +123,8 @@ pub struct State {
     pub qd_rad_s: [f32; 3],
     /// Code of the latched fault, see hb_fault_text(); 0 without a fault.
     pub fault: i32,
+    /// Angles of the encoders without motors.
+    pub sensed_rad: [f32; 3],
 }
 
 const _: () = assert!(HB_ARMED == BoardState::Armed as i32 && HB_FAULT == BoardState::Fault as i32);
@@ -153,6 +155,7 @@ impl From<&ForceAnswer> for State {
             force_n: reply.force,
             qd_rad_s: reply.qd,
             fault: 0,
+            sensed_rad: reply.sensed,
         }
     }
 }

@@ -4,8 +4,9 @@ use crate::arrays::{array, list};
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
+use haptic_host::frame::rotation;
 use haptic_host::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic_host::haptic_bridge::board::telemetry::Fields;
+use haptic_host::haptic_bridge::board::telemetry::{Fields, RowShape};
 use haptic_host::haptic_bridge::model::units::JointUnits;
 use haptic_host::haptic_bridge::render::controller::Gains;
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
@@ -88,6 +89,16 @@ impl State {
     fn qd<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.qd)
     }
+    /// Angles of the encoders without motors, rad, shape (3,).
+    #[getter]
+    fn sensed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.reply.sensed)
+    }
+    /// Orientation of the handle by these angles, a rotation matrix, shape (3, 3) (docs/files.md).
+    #[getter]
+    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        array(py, rotation(&self.reply.sensed).transpose().as_slice().to_vec(), &[3, 3])
+    }
     /// Commanded joint torques, after all limits, N m, shape (3,).
     #[getter]
     fn torque<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
@@ -117,7 +128,7 @@ fn fault_text(fault: &FaultRecord) -> String {
 #[derive(Clone, Copy)]
 struct Stream {
     fields: Fields,
-    axes: usize,
+    shape: RowShape,
 }
 
 /// The state of an open board.
@@ -353,10 +364,12 @@ impl Board {
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
         self.with(py, |open| {
-            let units = open.session.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
+            let device = open.session.device()?;
+            let shape = RowShape::of(device.as_ref());
+            let units = device.map(|device| device.mechanism.units()).unwrap_or_default();
             open.session.start_stream(fields, divider)?;
-            open.stream = Some(Stream { fields, axes: units.len() });
-            Ok(names(fields, &units))
+            open.stream = Some(Stream { fields, shape });
+            Ok(names(fields, &units, shape.sensed))
         })
     }
 
@@ -368,7 +381,9 @@ impl Board {
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
         let (mut rows, mut left) = (Vec::new(), timeout);
         let width = self.with(py, |open| {
-            Ok(open.stream.map_or(0, |stream| names(stream.fields, &[&JointUnits::REVOLUTE; 3][..stream.axes]).len()))
+            Ok(open.stream.map_or(0, |Stream { fields, shape }| {
+                names(fields, &[&JointUnits::REVOLUTE; 3][..shape.joints], shape.sensed).len()
+            }))
         })?;
         loop {
             let wait = left.min(SIGNAL_INTERVAL);
@@ -423,8 +438,8 @@ impl Board {
     }
 }
 
-fn names(fields: Fields, units: &[&JointUnits]) -> Vec<String> {
-    let own = columns(fields, units).into_iter().map(|column| column.label);
+fn names(fields: Fields, units: &[&JointUnits], sensed: usize) -> Vec<String> {
+    let own = columns(fields, units, sensed).into_iter().map(|column| column.label);
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 

@@ -14,6 +14,7 @@ use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::MAX_SENSED;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::Scene;
@@ -95,7 +96,7 @@ impl Columns {
             })
         };
         let per_joint = |field: Field| {
-            let columns = columns(Fields(field.bit()), units).into_iter();
+            let columns = columns(Fields(field.bit()), units, 0).into_iter();
             columns.map(|known| column(known.label)).collect::<Result<Vec<usize>, Failure>>()
         };
         Ok(Self {
@@ -139,6 +140,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
 
     let hardware = Hardware {
         axes: MAX_JOINTS,
+        encoders: (MAX_JOINTS + MAX_SENSED) as u8,
         real: false,
         bus_sensed: false,
         bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },

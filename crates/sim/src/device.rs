@@ -4,7 +4,8 @@ use super::encoder::EncoderModel;
 use super::hand::Hand;
 use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
-use haptic_bridge::model::description::{Description, DescriptionError, Homing};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{Description, DescriptionError, Homing, MAX_SENSED};
 
 /// Options of the simulation of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,6 +86,7 @@ pub struct SimulatedDevice {
     plant: Plant,
     motors: Vec<MotorModel>,
     encoders: Vec<EncoderModel>,
+    sensed: [i32; MAX_SENSED],
     hand: Hand,
     support: Support,
     start: [f64; 3],
@@ -130,6 +132,7 @@ impl SimulatedDevice {
             plant,
             motors,
             encoders,
+            sensed: [0; MAX_SENSED],
             hand: Hand::none(),
             support: Support::None,
             start,
@@ -219,10 +222,23 @@ impl SimulatedDevice {
     pub fn time(&self) -> f64 {
         self.time
     }
-    /// Returns encoder counts since power-on; 0 for axes without a joint.
-    pub fn counts(&self) -> [i32; 3] {
+    /// Sets the counts of the encoders without motors, which otherwise stand still.
+    pub fn set_sensed_counts(&mut self, counts: [i32; MAX_SENSED]) {
+        self.sensed = counts;
+    }
+    /// Returns the counts since power-on at the inputs of a board: of the joints' encoders, then of the encoders without
+    /// motors.
+    pub fn inputs(&self) -> [i32; MAX_JOINTS + MAX_SENSED] {
         let q = self.plant.measured();
-        core::array::from_fn(|i| self.encoders.get(i).map_or(0, |encoder| encoder.counts(q[i])))
+        let joints = self.encoders.iter().zip(q).map(|(encoder, q)| encoder.counts(q));
+        let mut inputs = [0; MAX_JOINTS + MAX_SENSED];
+        inputs.iter_mut().zip(joints.chain(self.sensed)).for_each(|(input, count)| *input = count);
+        inputs
+    }
+    /// Returns the counts at a board's first three inputs.
+    pub fn counts(&self) -> [i32; 3] {
+        let [first, second, third, ..] = self.inputs();
+        [first, second, third]
     }
     /// Returns, for each encoder, true if its index mark is under the sensor.
     pub fn index(&self) -> [bool; 3] {

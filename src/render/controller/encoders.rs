@@ -267,6 +267,7 @@ mod tests {
             links: [link; _],
             joints,
             handle_mass: 0.0,
+            sensed: [None; 3],
             home: None,
             homing: Homing::Hand,
         };

@@ -53,6 +53,8 @@ struct Report {
     mechanism: &'static str,
     joints: usize,
     task: usize,
+    /// Names of the encoders without motors.
+    sensed: Vec<String>,
     summary: Summary,
     lacks: Vec<String>,
     scenes: Vec<SceneReport>,
@@ -100,6 +102,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         mechanism: spec.name,
         joints: spec.joints,
         task: spec.task,
+        sensed: file.sensed_names.clone(),
         summary,
         lacks: file.missing_for_board(),
         scenes,
@@ -184,6 +187,9 @@ fn readable(report: &Report, tip_and_home: &str) -> String {
     );
     for line in report.summary.lines() {
         text.push_str(&format!("  {line}\n"));
+    }
+    if !report.sensed.is_empty() {
+        text.push_str(&format!("  encoders without motors: {}\n", report.sensed.join(", ")));
     }
     text.push_str(tip_and_home);
     text.push_str(&format!("  {MOTORS_AND_ENCODERS}\n"));

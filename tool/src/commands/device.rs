@@ -67,6 +67,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
             format!("{}:{line}: the device has {joints} joints and the board {} axes", path.display(), details.axes);
         return Err(Failure::wrong(reason).remedy("use a board with more axes"));
     }
+    let (sensed, inputs) = (device.sensed.len(), usize::from(details.encoders));
+    if joints + sensed > inputs {
+        let (left, path) = (inputs.saturating_sub(joints), path.display());
+        let line = document.find("sensed", Some(left), "", "").map_or(1, |at| at.0);
+        let reason = format!(
+            "{path}:{line}: the board has {inputs} encoder inputs, of which {joints} joints leave {left} for {sensed} [[sensed]]"
+        );
+        return Err(Failure::wrong(reason).remedy("remove those that it cannot read"));
+    }
     board.set_device(&device)?;
     let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
     if details.real || args.tip_force.is_some() {

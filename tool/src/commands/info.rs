@@ -30,7 +30,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         });
         return print_json(json!({
             "port": board.port(), "board": info.board, "serial": info.serial, "firmware": info.firmware,
-            "protocol": info.protocol, "name": details.name, "axes": details.axes, "real": details.real,
+            "protocol": info.protocol, "name": details.name, "axes": details.axes, "encoders": details.encoders,
+            "real": details.real,
             "device": details.device, "rate_hz": details.rate_hz, "carrier_hz": details.carrier_hz,
             "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
             "overruns": details.overruns, "longest_cycles": details.longest_cycles,
@@ -44,7 +45,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
     line("board", format!("{}{name}, serial number {}, on {}", info.board, info.serial, board.port()));
     line("firmware", format!("{}, protocol {}", info.firmware, info.protocol));
-    line("axes", details.axes.to_string());
+    line("axes", format!("{}, and {} encoder inputs", details.axes, details.encoders));
     line(
         "control",
         format!("{} Hz, carrier {} Hz, delay {} samples", details.rate_hz, details.carrier_hz, details.delay_samples),

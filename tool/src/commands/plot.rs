@@ -116,7 +116,7 @@ fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> R
     let distance = column("distance_m")?;
     let touched: Vec<&Vec<f64>> = recording.rows.iter().filter(|row| row[distance] < 0.0).collect();
     let mean = |column: usize| touched.iter().map(|row| row[column]).sum::<f64>() / touched.len() as f64;
-    let joints = columns(Fields(Field::Angle.bit()), &file.description.units());
+    let joints = columns(Fields(Field::Angle.bit()), &file.description.units(), 0);
     let q: Vec<f64> = joints.iter().map(|joint| column(&joint.label).map(mean)).collect::<Result<_, _>>()?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
     Ok(contact_limits_at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))

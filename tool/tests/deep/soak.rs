@@ -96,7 +96,7 @@ struct Columns {
 
 impl Columns {
     fn new() -> Self {
-        let labels: Vec<String> = columns(fields("all").unwrap(), &[&JointUnits::REVOLUTE; 2])
+        let labels: Vec<String> = columns(fields("all").unwrap(), &[&JointUnits::REVOLUTE; 2], 0)
             .into_iter()
             .map(|column| column.label)
             .collect();

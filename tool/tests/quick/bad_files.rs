@@ -125,6 +125,10 @@ const DEVICE_MISTAKES: &str = r#"
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 100⏎inertia = 1.0⏎ => :44:1: => the modes of joint 0 swing with more inertia than the links have about this joint at home
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 0⏎inertia = 1.0e-9⏎ => :45:13: => `frequency` | more than zero
     limits = [-1.0, 3.0]⏎ => limits = [-1.0, 3.0]⏎transmission = "stiff"⏎ => :34:16: => `transmission` | rigid
+    [home] => [[sensed]]⏎name = "grip"⏎⏎[home] => :48:1: => `counts_per_turn` | [[sensed]] 0 | missing | add `counts_per_turn = 4096`
+    [home] => [[sensed]]⏎counts_per_turn = 0⏎⏎[home] => :49:19: => `counts_per_turn` | [[sensed]] 0 | more than zero
+    [home] => [[sensed]]⏎counts_per_turn = 9⏎limits = [0, 1]⏎⏎[home] => :50:1: => `limits` | [[sensed]] 0
+    [home] => [[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎⏎[home] => :54:1: => 4 [[sensed]] tables | 3 at most
     base = 0.05 => base = 0.5 => :5:1: => cannot close | check the lengths
     base = 0.05 => base = -0.05 => :6:8: => `base`
     com = 0.03 => com = 1e25 => :1:1: => overflows the board's 32-bit floats

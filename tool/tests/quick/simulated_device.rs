@@ -30,6 +30,7 @@ fn paddle(viscous: f64, coulomb: f64) -> Description {
         links: [Link::default(); 4],
         joints: [joint(1e-3, viscous, coulomb), Joint::default(), Joint::default()],
         handle_mass: 0.0,
+        sensed: [None; 3],
         home: Some([0.0; 3]),
         homing: Homing::Hand,
     }
@@ -45,6 +46,7 @@ fn five_bar() -> Description {
         links: [arm, arm, rod, rod],
         joints: [joint(8e-4, 0.0, 0.0), joint(3e-4, 0.0, 0.0), Joint::default()],
         handle_mass: 0.05,
+        sensed: [None; 3],
         home: Some([2.3, 0.84, 0.0]),
         homing: Homing::Hand,
     }

@@ -142,7 +142,7 @@ impl<'a> PreparedBoard<'a> {
 
         let units = file.description.units().to_vec();
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
-        let columns = columns(request, &units);
+        let columns = columns(request, &units, 0);
         let column = |field, axis| columns.iter().position(|column| (column.field, column.axis) == (field, axis));
         let tip_columns = (0..spec.task).filter_map(|axis| column(Field::Tip, axis)).collect();
         let state_column = column(Field::State, 0).unwrap_or_default();

@@ -123,7 +123,7 @@ pub(crate) fn press(
     }
     let lost = board.losses().missing;
     let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
-    Ok((moments_of_rows(&rows, &columns(selected, &units), rate_hz), lost, fault))
+    Ok((moments_of_rows(&rows, &columns(selected, &units, 0), rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.

@@ -225,7 +225,7 @@ const MIN_RELATIVE_AMPLITUDE: f64 = 1e-6;
 /// Returns name and unit of the column with this label; an unknown column has no unit.
 pub(crate) fn column_quantity(label: &str) -> Quantity {
     let known = [&JointUnits::REVOLUTE, &JointUnits::PRISMATIC].into_iter().find_map(|units| {
-        let columns = columns(Fields::ALL, &[units; MAX_JOINTS]);
+        let columns = columns(Fields::ALL, &[units; MAX_JOINTS], 3);
         columns.iter().find(|column| column.label == label).map(|column| unit_of(column.field, units))
     });
     let unit = known.unwrap_or_default();

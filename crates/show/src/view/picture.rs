@@ -30,7 +30,8 @@ pub const FIELDS: Fields = Fields(
         | Field::Saturated.bit()
         | Field::Energy.bit()
         | Field::Counts.bit()
-        | Field::State.bit(),
+        | Field::State.bit()
+        | Field::Sensed.bit(),
 );
 
 /// Time over which ripple, saturation and power are computed, s.
@@ -93,6 +94,8 @@ pub struct Numbers {
     pub inertia: Option<Flat>,
     /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
+    /// Angles of the encoders without motors, rad.
+    pub sensed: Vec<f64>,
 }
 
 /// Returns the wall that the tip is deepest in or nearest to, and its normal.
@@ -175,6 +178,7 @@ impl<'a> Newest<'a> {
                 .map(|axis| share_matching(self.recent_values(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
+            sensed: self.vector(Field::Sensed, device.sensed.len()),
             ..Numbers::default()
         };
         geometry.more = places.iter().skip(1).map(|place| [*place, [0.0; 2]]).collect();
@@ -331,7 +335,7 @@ mod tests {
     #[test]
     fn the_force_of_a_paddle_is_drawn_along_its_arc() {
         let file = DeviceFile::parse(include_str!("../../../../devices/hapkit-paddle.toml"), "hapkit").unwrap();
-        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, &file.description.units()));
+        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, &file.description.units(), 0));
         let (length, angle) = (file.description.geometry[0], 0.3_f64);
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
@@ -356,7 +360,7 @@ mod tests {
         let pose = TaskPose::of(&device.mechanism, demo.q()).unwrap();
         let n = DVector::from_column_slice(&demo.normal);
         let torque = pose.jacobian.tr_mul(&n) * 4.0;
-        let columns = columns(FIELDS, &demo.file.description.units());
+        let columns = columns(FIELDS, &demo.file.description.units(), 0);
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
             Field::Angle => demo.pose[column.axis] as f32,

@@ -21,7 +21,7 @@ use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
 use super::track::Track;
 use super::world::{World, lead_hand};
-use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::board::telemetry::{Field, RowShape};
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
@@ -151,15 +151,15 @@ impl Stage {
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
-        let device = device.cast::<f64>();
+        let (shape, device) = (RowShape::of(Some(&device)), device.cast::<f64>());
         let (first, scene) = (scene.clone(), check_scene(&scene, &device)?);
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let link_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
+        let link_hz = max_rows_per_second(name, FIELDS, shape, rate_hz);
         let divider = (rate_hz / limit_hz.unwrap_or(link_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
-        let columns = columns(FIELDS, &device.mechanism.units());
+        let columns = columns(FIELDS, &device.mechanism.units(), shape.sensed);
         // No page holds a key yet.
         board.disarm()?;
         board.keep_alive();

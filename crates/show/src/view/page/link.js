@@ -195,6 +195,7 @@ function picture(p) {
     ["Inertia off / full", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
     ["Rows lost", String(p.lost), p.lost > 0],
     p.speed === null ? ["Interrupt load", p.load === null ? "–" : digits(100 * p.load, 2) + " %", p.load > 0.9] : ["Simulation speed", digits(100 * p.speed, 3) + " %", p.speed < 0.9],
+    ...n.sensed.map((angle, i) => [`Sensed ${i}`, unit(angle, "rad")]),
   ];
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));
