@@ -138,7 +138,7 @@ where
         let way = match push.phase {
             Phase::Out | Phase::Again => outward,
             Phase::Back => -outward,
-            Phase::Return => (-1.0_f32).copysign(moved[i]),
+            Phase::Return => 1.0_f32.copysign(-moved[i]),
         };
         // The torque is below its largest by rounding errors only.
         if (push.target - moved[i]) * way < 0.99 * full_lag {
