@@ -13,8 +13,7 @@ use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
     ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, MAX_MODES,
-    MAX_SENSED,
-    Stribeck, StructuralMode, Transmission,
+    MAX_SENSED, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};

@@ -132,7 +132,11 @@ pub struct Skeleton {
 impl Skeleton {
     /// Returns true if the drawing shows the motion of a joint.
     pub fn shows(&self, joint: usize) -> bool {
-        self.angles.iter().map(|angle| angle.joint).chain(self.slides.iter().map(|slide| slide.joint)).any(|j| j == joint)
+        self.angles
+            .iter()
+            .map(|angle| angle.joint)
+            .chain(self.slides.iter().map(|slide| slide.joint))
+            .any(|j| j == joint)
     }
 
     /// Returns all points of links, rails and tips.
@@ -458,7 +462,14 @@ fn delta(description: &Description, q: &[f64], view: &View) -> Option<Skeleton> 
         let facing = view.towards(&outward.cross(&Vector3::z()));
         if facing.abs() > 1.0 - ALIGNED_SINE {
             let (across, up) = view.project(&outward);
-            drawn.angles.push(Angle { joint, at, zero: up.atan2(across), angle: *q, sense: facing.signum(), arm: upper });
+            drawn.angles.push(Angle {
+                joint,
+                at,
+                zero: up.atan2(across),
+                angle: *q,
+                sense: facing.signum(),
+                arm: upper,
+            });
         } else if facing.abs() < ALIGNED_SINE {
             drawn.letters.push((LEGS[joint], at));
         }

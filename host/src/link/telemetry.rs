@@ -310,11 +310,10 @@ mod tests {
     #[test]
     fn columns_carry_their_units() {
         let units = [&JointUnits::REVOLUTE, &JointUnits::PRISMATIC];
-        let labels: Vec<String> =
-            columns(fields("q,tip,torque,force,sensed").unwrap(), &units, 1)
-                .into_iter()
-                .map(|column| column.label)
-                .collect();
+        let labels: Vec<String> = columns(fields("q,tip,torque,force,sensed").unwrap(), &units, 1)
+            .into_iter()
+            .map(|column| column.label)
+            .collect();
         let joints = ["q0_rad", "q1_m", "tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n", "force_n", "sensed0_rad"];
         assert_eq!(labels, joints);
         assert!(fields("tip,forse").unwrap_err().contains("`forse` is no field"));

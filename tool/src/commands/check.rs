@@ -2,7 +2,6 @@
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
-use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, Homing};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_host::device_file::DeviceFile;

@@ -525,6 +525,7 @@ fn the_page_draws_chains_deltas_and_paddles() {
         let tip = || simulated.lock().device().tip();
         let mut view = TestView::in_command(world, None);
         let walls = &view.page(0).walls;
+        let walls = walls.as_array().expect("a list of walls");
         assert!(!walls.is_empty() && walls.iter().all(|wall| wall["outline"].is_object()), "{name}: {walls:?}");
         let geometry = view.page(0).picture["geometry"].clone();
         let place = |value: &Value| [0, 1].map(|axis| value[axis].as_f64().unwrap());

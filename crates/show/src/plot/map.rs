@@ -78,7 +78,10 @@ pub fn chart(
     let spec = description.kind.spec();
     let is_paddles = matches!(description.kind, Kind::Paddles2 | Kind::Paddles3);
     // The plane of several paddles' arcs does not contain the paddles.
-    let home = description.home.filter(|_| !is_paddles).and_then(|home| skeleton_in(description, &home[..spec.joints], &cut.view));
+    let home = description
+        .home
+        .filter(|_| !is_paddles)
+        .and_then(|home| skeleton_in(description, &home[..spec.joints], &cut.view));
     let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
     let (step, top, highest) = colour_scale(&coarse);
 

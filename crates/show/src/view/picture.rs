@@ -193,7 +193,8 @@ impl<'a> Newest<'a> {
         // On a track the force acts along it.
         let along = tracks.iter().zip(&tip).zip(&force);
         let drawn = along.map(|((track, tip), force)| track.direction(*tip).map(|entry| force * entry));
-        for (to, drawn) in [&mut geometry.force].into_iter().chain(geometry.more.iter_mut().map(|[_, f]| f)).zip(drawn) {
+        for (to, drawn) in [&mut geometry.force].into_iter().chain(geometry.more.iter_mut().map(|[_, f]| f)).zip(drawn)
+        {
             *to = drawn;
         }
         if let Some((_, normal)) = wall {
