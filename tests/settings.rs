@@ -182,12 +182,12 @@ fn a_scene_of_version_1_keeps_its_velocity_terms() {
 }
 
 #[test]
-fn a_device_of_version_2_has_no_encoders_without_motors() {
-    let without_list = |body: &mut Vec<u8>| {
+fn a_device_of_version_2_has_homing_by_hand_and_no_sensed_joints() {
+    let without_additions = |body: &mut Vec<u8>| {
         body[1] = 2;
-        body.truncate(body.len() - 1);
+        body.truncate(body.len() - 2);
     };
-    let entry = with_changed_body(&encode(&stored_device()).unwrap(), without_list);
+    let entry = with_changed_body(&encode(&stored_device()).unwrap(), without_additions);
     assert_eq!(decode::<Device<f32>>(&entry), Ok(stored_device()));
 }
 

@@ -89,7 +89,7 @@ impl Setting for Scene<f32> {
     /// Inserts the defaults: a gain of 1, a held orientation, no posture. Earlier estimators keep their encoding.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
         (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
-        (2, END_POSITION, &[0x00, 0x00]),
+        (2, END_POSITION, &[0x00]),
         (3, END_POSITION, &[0x00]),
     ];
 }

@@ -1,6 +1,6 @@
 //! The outline of a wall in a drawing of the xy plane, for every shape.
 
-use crate::view::track::Track;
+use crate::track::Track;
 use haptic_bridge::render::scene::{Plane, Surface};
 use serde::{Deserialize, Serialize};
 

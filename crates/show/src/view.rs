@@ -13,7 +13,6 @@ pub mod picture;
 pub mod scope;
 pub mod stability;
 pub mod stage;
-pub mod track;
 pub mod world;
 
 #[cfg(feature = "serve")]

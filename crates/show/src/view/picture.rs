@@ -4,7 +4,7 @@
 //! at joint 0 = 0. Positions of a paddle or a slide are drawn on their tracks.
 
 use super::scope::Ring;
-use super::track::Track;
+use crate::track::Track;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
