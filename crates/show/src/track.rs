@@ -100,15 +100,15 @@ mod tests {
     /// Compares the tracks with the drawn tips of a paddle, two paddles, a slide, and a chain that turns clockwise.
     #[test]
     fn every_coordinate_is_drawn_at_its_tip() {
-        let clockwise = include_str!("../../../../devices/yoke.toml");
+        let clockwise = include_str!("../../../devices/yoke.toml");
         let text = |file: &str| DeviceFile::parse(file, "device").unwrap();
         assert!(Track::of(&text(clockwise).device().unwrap(), Some(&text(clockwise).description)).is_empty());
         let mut pendulum = text(&haptic_predict::template::device_file(Kind::Chain1, "pendulum"));
         pendulum.description.joints[0].frame.axis = [0.0, 0.0, -1.0];
         let files = [
             text(HAPKIT_PADDLE),
-            text(include_str!("../../../../devices/two-paddles.toml")),
-            text(include_str!("../../../../devices/fader.toml")),
+            text(include_str!("../../../devices/two-paddles.toml")),
+            text(include_str!("../../../devices/fader.toml")),
             pendulum,
         ];
         for DeviceFile { name, description, .. } in files {
