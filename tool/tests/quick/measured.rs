@@ -21,11 +21,17 @@ fn every_shipped_device_passes_its_check() {
 #[test]
 fn the_check_of_a_slide_is_gentle_and_finds_a_reversed_motor() {
     let file = shipped_device("fader");
-    for (what, fault) in [("nothing", None), ("leads of the first motor swapped", Some(Fault::PolarityWrong))] {
+    for what in ["nothing", "leads of the first motor swapped"] {
         let nothing = InjectedError { what: "nothing", injection: Injection::Always(|_, _| ()) };
         let error = INJECTED_ERRORS.iter().find(|error| error.what == what).unwrap_or(&nothing);
         let (result, motion) = measure_check(&file, error);
-        assert_eq!(result.err().map(|record| record.fault), fault, "{what}");
+        let fault = result.err().map(|record| record.fault);
+        // The back-EMF of a reversed motor may show before the wrong motion does.
+        let is_right = match what {
+            "nothing" => fault.is_none(),
+            _ => matches!(fault, Some(Fault::PolarityWrong | Fault::MotorModel)),
+        };
+        assert!(is_right, "{what}: {fault:?}");
         // A computation of the check alone gives 1.6 N, of which friction takes 0.4 N, and 8.01 mm.
         assert!(motion.push < 2.0 && motion.travel < 0.0085, "{what}: {motion:?}");
     }

@@ -189,10 +189,10 @@ fn draw_panel(
         .collect();
     let angles: Vec<_> = marks.iter().map(|mark| labels.of_mark(mark)).collect();
     let axis_names: Vec<_> = (skeleton.axes.iter().zip(&axes))
-        .map(|(axis, line)| labels.along(*line, &format!("axis of joint {}", axis.joint)))
+        .filter_map(|(axis, line)| labels.along(*line, &format!("axis of joint {}", axis.joint)))
         .collect();
     let link_names: Vec<_> = (skeleton.bars.iter().zip(names).filter(|(_, name)| !name.is_empty()))
-        .map(|(bar, name)| labels.of_link(skeleton, bar, name))
+        .filter_map(|(bar, name)| labels.of_link(skeleton, bar, name))
         .collect();
 
     draw_links(canvas, frame, skeleton);

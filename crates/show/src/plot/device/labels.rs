@@ -26,6 +26,8 @@ pub struct Label {
     /// Rotation, degrees clockwise.
     slope: f64,
     colour: &'static str,
+    /// True if the text covers no link and no other label.
+    is_clear: bool,
 }
 
 /// The labels of a drawing, and what they must not cover.
@@ -38,7 +40,7 @@ pub struct Labels<'a> {
 
 impl Label {
     fn new(text: &str, size: f64, colour: &'static str) -> Self {
-        Self { text: text.into(), centre: (0.0, 0.0), size, slope: 0.0, colour }
+        Self { text: text.into(), centre: (0.0, 0.0), size, slope: 0.0, colour, is_clear: false }
     }
 
     /// Returns half of the width and of the height of the rectangle around the text.
@@ -107,11 +109,20 @@ impl<'a> Labels<'a> {
                 best = Some((cost, label.centre, slope));
             }
         }
-        if let Some((_, centre, slope)) = best {
-            (label.centre, label.slope) = (centre, slope);
+        if let Some((cost, centre, slope)) = best {
+            (label.centre, label.slope, label.is_clear) = (centre, slope, cost < 2);
         }
         self.taken.push(label.area());
         label
+    }
+
+    /// Takes the first place that is clear of links and labels, if there is one.
+    fn take_clear(&mut self, label: Label, centres: impl IntoIterator<Item = (Point, f64)>) -> Option<Label> {
+        let label = self.take(label, centres);
+        if !label.is_clear {
+            self.taken.pop();
+        }
+        label.is_clear.then_some(label)
     }
 
     /// Places a text next to a point, at least `distance` pixels away.
@@ -145,18 +156,20 @@ impl<'a> Labels<'a> {
         self.take(label, close.into_iter().chain(outside))
     }
 
-    /// Places the name of an axis along its line, near one of its ends.
-    pub fn along(&mut self, line: [Point; 2], text: &str) -> Label {
+    /// Places the name of an axis along its line, near one of its ends. Returns `None` if every place covers a link or
+    /// another label.
+    pub fn along(&mut self, line: [Point; 2], text: &str) -> Option<Label> {
         let label = Label::new(text, SMALL_TEXT, INK);
         let (wide, _) = label.half();
         let places = beside(line, 10.0, &[-1.0, 1.0], |length| {
             [wide + 8.0, length - wide - 8.0, 0.25 * length, 0.75 * length].to_vec()
         });
-        self.take(label, places)
+        self.take_clear(label, places)
     }
 
-    /// Places the name of a link along it, on the side away from the other links if possible.
-    pub fn of_link(&mut self, skeleton: &Skeleton, bar: &Bar, text: &str) -> Label {
+    /// Places the name of a link along it, on the side away from the other links if possible. Returns `None` if every
+    /// place covers a link or another label.
+    pub fn of_link(&mut self, skeleton: &Skeleton, bar: &Bar, text: &str) -> Option<Label> {
         let pixel = |(x, y): Point| self.frame.pixel(x, y);
         let middle = |bar: &Bar| ((bar.from.0 + bar.to.0) / 2.0, (bar.from.1 + bar.to.1) / 2.0);
         let sum = skeleton.bars.iter().map(middle).fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
@@ -172,7 +185,7 @@ impl<'a> Labels<'a> {
             let past = (wide + 6.0 - length / 2.0).max(0.06 * length);
             [past, -past, 0.0, 0.2 * length, -0.2 * length, 2.0 * past].map(|past| length / 2.0 + past).to_vec()
         });
-        self.take(label, places)
+        self.take_clear(label, places)
     }
 }
 
