@@ -156,5 +156,3 @@ fn the_h_bridge_f405_image_renders_and_stops_at_a_fault() {
 fn the_h_bridge_f407_disc1_image_renders_and_stops_at_a_fault() {
     session(BoardKind::HBridgeF407Disc1, "phantom-premium-1.5", Fault::BreakInput);
 }
-
-
