@@ -20,6 +20,9 @@ const DETERMINANT_SAMPLES: usize = 12;
 /// Share of the levers' largest product below which |det J| counts as zero.
 const LEAST_DETERMINANT: f64 = 1.0e-6;
 
+/// Coefficients of each entry of M, by the powers of the last joint but one and of the last.
+type Coefficients = [[[[f64; 5]; 5]; MAX_JOINTS]; MAX_JOINTS];
+
 /// A link in a frame whose z axis is the axis of its joint. All vectors are in the base frame with every joint at zero.
 struct Body {
     prismatic: bool,
@@ -226,7 +229,7 @@ fn coefficients<const N: usize>(
     chain: &Chain<f64, N>,
     bodies: &[Body; N],
     is_sum: bool,
-) -> (SMatrix<f64, N, N>, [[[[f64; 5]; 5]; MAX_JOINTS]; MAX_JOINTS]) {
+) -> (SMatrix<f64, N, N>, Coefficients) {
     // Joint N - back, whose polynomial is a constant if the chain has no joint before it.
     let samples_of = |back: usize| match N.checked_sub(back).filter(|i| *i > 0) {
         Some(i) => samples(&chain.joints[i]),
