@@ -7,6 +7,7 @@ use embassy_stm32::pac::timer::{TimGp16, vals};
 
 /// TIM2 as a timer of 16 bits.
 // SAFETY: TIM2 has 32 bits and the registers of a 16-bit timer at the same places; `start` lets it count to 65 535.
+#[cfg_attr(feature = "toy-board", allow(dead_code, reason = "the toy board has one encoder"))]
 pub const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
 /// Starts a timer that counts the encoder at its channels 1 and 2, from 0. The timer's clock must be on. The inputs are
