@@ -203,8 +203,11 @@ where
         let zero = program.controller.zero();
         for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
             let limits = match program.homing {
-                Homing::Stop(stops) if self.state == State::Homing => program.limits[i]
-                    .map(|(low, high)| (low.lesser(stops[i]) - HOMING_MARGIN, high.greater(stops[i]) + HOMING_MARGIN)),
+                Homing::Stop(stops) if self.state == State::Homing => {
+                    let margin = program.lever[i] * HOMING_MARGIN;
+                    program.limits[i]
+                        .map(|(low, high)| (low.lesser(stops[i]) - margin, high.greater(stops[i]) + margin))
+                }
                 _ => program.limits[i],
             };
             let range = range(limits, program.radians_per_count[i], program.offsets[i], zero);
