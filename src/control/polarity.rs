@@ -233,13 +233,19 @@ where
         Some(there.max(here).min(here / MIN_HOME_ERROR_FACTOR))
     }
 
+    /// Returns the largest torque (N m) of the joint under test that stays within a tip force (N) in all nearby poses.
+    fn most_torque(&self, tip_force: f32) -> f32 {
+        let i = self.axis();
+        let torque = tip_force / self.polarity.force_per_torque;
+        torque.lesser(self.joints[i].stage.max_torque()).lesser(self.max_joint_torque[i])
+    }
+
     /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
     fn torques_within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
-        let most = (tip_force / self.polarity.force_per_torque).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
-        torque[i] = clamp(wanted, most.lesser(self.max_joint_torque[i]));
+        torque[i] = clamp(wanted, self.most_torque(tip_force));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }

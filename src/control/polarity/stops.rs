@@ -128,7 +128,7 @@ where
             self.trip(Fault::StopMissing, Some(i as u8), 0.0);
             return none;
         };
-        let most = self.most_push_torque();
+        let most = self.most_torque(STOP_FORCE.lesser(self.rules.limits.tip_force));
         let (inertia, lever) = (self.polarity.effective_inertia, self.lever(i));
         let (push_speed, home_error) = (lever * PUSH_SPEED, lever * MAX_HOME_ERROR);
         let rate = sqrt(most / (lever * FULL_PUSH_ANGLE * inertia.greater(f32::MIN_POSITIVE))).lesser(MAX_PUSH_RATE);
@@ -210,14 +210,6 @@ where
         // All torques together push no harder than the joint's largest torque alone.
         let share = share_within(self.leverage.force_squared(&torque), most * self.unit_force(i));
         Torques(torque.map(|torque| share * torque))
-    }
-
-    /// Returns the largest torque (N m) of the joint within [`STOP_FORCE`] in all nearby poses.
-    fn most_push_torque(&self) -> f32 {
-        let i = self.axis();
-        let tip_force = STOP_FORCE.lesser(self.rules.limits.tip_force);
-        let torque = tip_force / self.polarity.force_per_torque;
-        torque.lesser(self.joints[i].stage.max_torque()).lesser(self.max_joint_torque[i])
     }
 
     /// Checks the next pose within the home's error, and updates the leverage after the last of them.
