@@ -43,7 +43,7 @@ const RETURNED_ANGLE: f32 = 0.02;
 const MAX_TRAVEL_SHARE: f32 = 1.1;
 /// Longest time for one joint, s.
 const MAX_JOINT_SECONDS: f32 = 60.0;
-/// Angle beyond limits and stops at which every crest turns the motors off during homing, rad.
+/// Angle beyond limits and stops at which the motors go off during homing, rad; of a slide times its lever.
 pub(in crate::control) const HOMING_MARGIN: f32 = MAX_HOME_ERROR + 0.05;
 
 /// The way of a joint to its stop and back.

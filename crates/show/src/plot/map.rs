@@ -77,7 +77,7 @@ pub fn chart(
     let cut = Cut::new(description, normal, admissible)?;
     let spec = description.kind.spec();
     let is_paddles = matches!(description.kind, Kind::Paddles2 | Kind::Paddles3);
-    // The plane of several paddles' arcs does not contain the paddles.
+    // A map of several paddles has one arc length on each axis, so the paddles cannot be drawn in it.
     let home = description
         .home
         .filter(|_| !is_paddles)
