@@ -24,6 +24,7 @@ pub mod compiled;
 mod crest;
 mod fade;
 pub mod frame;
+mod homing;
 pub mod host_force;
 pub mod joints;
 mod period;
@@ -32,6 +33,7 @@ pub mod program;
 mod requests;
 mod rules;
 mod saturation;
+mod sensed;
 mod watch;
 
 use crate::control::frame::{Now, Outputs, Samples, StepRecord};
@@ -72,6 +74,8 @@ pub struct ControlLoop<P, S = MotorStage> {
     one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
+    /// True if the joint angles are known well enough for a polarity check. Equals `homed` unless homed by stops.
+    placed: bool,
     /// Zero if the scene is `in_force` and the last step limited no torque; otherwise negative.
     steady: i32,
     program: Option<P>,
@@ -117,12 +121,15 @@ pub struct ControlLoop<P, S = MotorStage> {
     /// Heat of the motors, kept when the device changes.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
+    /// Lowest and highest counts since the index marks are searched, with the motors off.
+    swept: Option<(Counts, Counts)>,
     /// Index pulses seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
     /// Counts of the home pose at which the polarity was checked, see `polarity_known`.
     checked_zero: Counts,
     fault: Option<FaultRecord>,
+    sensed: sensed::SensedEncoders,
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -140,6 +147,7 @@ where
             program: None,
             state: State::Disarmed,
             homed: false,
+            placed: false,
             polarity_known: false,
             joint_count: 0,
             compensates_weight: false,
@@ -150,6 +158,7 @@ where
             polarity: polarity::PolarityCheck::default(),
             checked_zero: Counts::default(),
             fault: None,
+            sensed: sensed::SensedEncoders::default(),
             now: Now::default(),
             joints: [Joint::default(); MAX_JOINTS],
             period: 1.0 / DEFAULT_RATE_HZ as f32,
@@ -168,6 +177,7 @@ where
             host_expected: 0,
             key: None,
             first_index: [None; MAX_JOINTS],
+            swept: None,
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
             next_joint: 0,
@@ -189,7 +199,7 @@ where
     /// Returns the telemetry record of the last step, with the present state.
     #[inline(always)]
     pub fn frame(&self) -> StepRecord {
-        StepRecord::of(&self.now, self.state)
+        StepRecord::of(&self.now, self.state, &self.sensed.angles)
     }
 
     /// Returns the number of control steps since boot, wrapping.
@@ -285,7 +295,8 @@ where
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
         if fault.loses_counts() {
-            self.homed = false;
+            (self.homed, self.placed) = (false, false);
+            self.forget_marks();
         }
         self.turn_motors_off();
         self.state = State::Fault;
@@ -293,6 +304,11 @@ where
     }
 
     fn turn_motors_off(&mut self) {
+        if self.state == State::Homing {
+            // The joints' ranges were wider.
+            self.state = State::Disarmed;
+            self.set_ranges();
+        }
         self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
@@ -360,14 +376,17 @@ where
                 let asked = self.now.result.asked;
                 self.command(&asked, &asked.total);
             }
-            State::CheckingPolarity => {
+            State::CheckingPolarity | State::Homing => {
                 let torque = self.check_polarity();
-                if self.state == State::CheckingPolarity {
+                if self.state.drives() {
                     self.command_test(&torque);
                 }
                 self.now.motors.rendered_force = 0.0;
             }
-            State::Disarmed | State::Fault => self.command_zero(),
+            State::Disarmed | State::Fault => {
+                self.command_zero();
+                self.sweep();
+            }
         }
         self.update_fast_path();
     }

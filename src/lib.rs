@@ -50,6 +50,7 @@ pub mod model {
     pub mod principal;
     pub mod shipped;
     pub mod solve;
+    pub mod units;
 }
 
 /// Rendering: the scene, and the control step that computes joint torques from encoder counts.

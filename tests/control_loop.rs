@@ -1,10 +1,15 @@
 //! The control loop refuses unsafe commands, keeps its state, and turns the motors on and off without jumps.
 
-use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
+use crate::rig::{
+    self, RATE_HZ, Rig, five_bar, hardware, limits, paddle, rules, scene, sensing_paddle, spring_scene, wall,
+};
 use core::f64::consts::TAU;
+use haptic_bridge::control::host_force::ForceRequest;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
 use haptic_bridge::drive::motor_stage::MotorDrive;
+use haptic_bridge::drive::stage::Duty;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Washout;
@@ -96,6 +101,43 @@ fn a_device_without_encoder_or_with_too_many_joints_is_refused() {
     let mut rig = Rig::without_device(one_axis, rules());
     let refusal = Refusal::TooManyJoints { joints: 2, axes: 1 };
     assert_eq!(rig.load(&five_bar(), &scene(2, &[]), false), Err(refusal));
+}
+
+#[test]
+fn encoders_without_motors_follow_the_joints_inputs_and_start_at_home() {
+    let mut rig = Rig::new(&sensing_paddle(), &scene(1, &[]), hardware(), rules());
+    let count = (TAU / 1_000.0) as f32;
+    let mut sensed = |inputs: [i32; 3], home: bool| {
+        rig.control_loop.sense(&inputs);
+        if home {
+            rig.execute(Command::Home).expect("a device at rest can be homed");
+            rig.control_loop.sense(&inputs);
+        }
+        let frame = rig.control_loop.frame();
+        assert_eq!(rig.control_loop.force(&ForceRequest::default()).sensed, frame.sensed);
+        frame.sensed
+    };
+    assert_eq!(sensed([7, 40, -20], true), [0.0, 0.5, 0.0]);
+    assert_eq!(sensed([9, 50, -10], false), [10.0 * count, 0.5 - 10.0 * count, 0.0]);
+    // A scene keeps the home of the same device, another device starts anew.
+    rig.load(&sensing_paddle(), &scene(1, &[]), true).unwrap();
+    rig.control_loop.sense(&[9, 41, -20]);
+    assert_eq!(rig.control_loop.frame().sensed, [count, 0.5, 0.0]);
+    rig.load(&sensing_paddle(), &scene(1, &[]), false).unwrap();
+    rig.control_loop.sense(&[9, 1, 0]);
+    assert_eq!(rig.control_loop.frame().sensed, [count, 0.5, 0.0]);
+    rig.load(&paddle(), &scene(1, &[]), false).unwrap();
+    assert!(!rig.control_loop.has_sensed());
+    assert_eq!(rig.control_loop.frame().sensed, [0.0; 3]);
+}
+
+#[test]
+fn a_device_with_more_encoders_than_inputs_is_refused() {
+    let refusal = Refusal::TooManySensed { sensed: 2, inputs: 3, left: 1 };
+    let two_joints = Description { sensed: sensing_paddle().sensed, ..five_bar() };
+    let mut rig = Rig::without_device(hardware(), rules());
+    assert_eq!(rig.load(&two_joints, &scene(2, &[]), false), Err(refusal));
+    assert!(refusal.to_string().starts_with("the board has 3 encoder inputs, of which the device's joints leave 1"));
 }
 
 #[test]

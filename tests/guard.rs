@@ -173,6 +173,14 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::TorqueMismatch => Step(|| run_polarity_check(1.5, 2.0)),
         Fault::ResistanceMismatch => Step(|| run_polarity_check(1.0, 3.0)),
+        Fault::StopMissing => Step(|| {
+            let mut rig = Rig::new(&rig::paddle_with_stop(), &far_wall(), hardware(), rules());
+            rig.execute(Command::FindStops(rig.press())).unwrap();
+            while rig.state() == State::Homing {
+                rig.hold_key(1);
+            }
+            rig
+        }),
         Fault::PolarityUnrest => Step(|| {
             let mut rig = Rig::homed_paddle(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
@@ -239,6 +247,7 @@ fn off_time(fault: Fault) -> &'static str {
         Fault::BreakInput => "by hardware",
         Fault::PowerLimit => "by a mean over 0.1 s",
         Fault::PolarityNoMotion => "when its torque has grown and alternated in vain: some seconds",
+        Fault::StopMissing => "when the joint stood still, or moved too far: some seconds",
         Fault::PolarityUnrest => "never on: a joint is waited for without torque",
         Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch | Fault::PolePairs => {
             "when the joint was swung: some seconds"

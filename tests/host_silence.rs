@@ -48,17 +48,17 @@ fn clearing_restarts_the_time_of_a_silent_host() {
 }
 
 impl Rig {
-    fn beat(&mut self, beat: Beat) {
+    pub fn beat(&mut self, beat: Beat) {
         self.execute(Command::Beat(beat)).expect("never refused");
     }
 
     /// Returns the message of a tool whose key is pressed at this step.
-    fn press(&self) -> Press {
+    pub fn press(&self) -> Press {
         Press { holder: 1, seen: self.control_loop.steps() }
     }
 
     /// Presses the key for `tenths` tenths of a second, with a message at the start of each. Returns the last message.
-    fn hold_key(&mut self, tenths: u32) -> Press {
+    pub fn hold_key(&mut self, tenths: u32) -> Press {
         let mut press = self.press();
         for _ in 0..tenths {
             press = self.press();

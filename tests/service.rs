@@ -13,6 +13,7 @@ use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::program::Program;
 use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::description::Description;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -125,6 +126,11 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
+fn find_stops(board: &mut Board) -> Result<(), Refusal> {
+    let press = press(board);
+    board.ask::<FindStops>(&press).expect("a reply")
+}
+
 /// Returns the refusal of [`rules_with_share`] with a share above 1. It names the first entry of the first limit.
 fn too_high_refusal(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
@@ -132,7 +138,7 @@ fn too_high_refusal(share: f32) -> Refusal {
 }
 
 fn request_cases() -> Vec<RequestCase> {
-    use Refusal::{Armed as On, NoDevice, NotHomed};
+    use Refusal::{Armed as On, NoDevice, NoStops, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));
     let always = [ok; 6];
@@ -141,6 +147,7 @@ fn request_cases() -> Vec<RequestCase> {
         ("arm", ask!(Arm), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
         ("arm with a key", arm_held, [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
         ("check polarity", ask!(CheckPolarity), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
+        ("find stops", find_stops, [Err(NoDevice), Err(NoStops), Err(NotHomed), Err(On), Err(On), fault]),
         ("home", ask!(Home), [Err(NoDevice), ok, ok, Err(On), Err(On), fault]),
         ("disarm", ask!(Disarm), always),
         ("clear", ask!(Clear), always),
@@ -233,11 +240,12 @@ fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
         Press { seen: press.seen + 1, ..press }
     }
     type Commands = [fn(Press) -> Command<Box<Program<BoardMath>>>; 2];
-    let pairs: [Commands; 4] = [
+    let pairs: [Commands; 5] = [
         [|_| Command::MayArm, |_| Command::Arm],
         [Command::MayArmHeld, Command::ArmHeld],
         [|press| Command::MayArmHeld(future_press(press)), |press| Command::ArmHeld(future_press(press))],
         [|_| Command::MayCheckPolarity, |_| Command::CheckPolarity],
+        [Command::MayFindStops, Command::FindStops],
     ];
     for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
         let mut board = board_in_state(now);
@@ -256,8 +264,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_tests_of_requests_cover_every_endpoint() {
-    // The two tests above cover 17 endpoints that change something and 10 that only read.
-    assert_eq!(own_endpoints().count(), 27, "an endpoint was added: add it to the tests of this file");
+    // The two tests above cover 18 endpoints that change something and 10 that only read.
+    assert_eq!(own_endpoints().count(), 28, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
@@ -287,9 +295,9 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
                 let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
                 assert_eq!((bad_limit.limit, bad_limit.joint, bad_limit.most), (name, joint, most), "{bad}");
                 assert_eq!(bad_limit.value.to_bits(), bad.to_bits(), "the refusal has the number");
-                let (words, unit) = name.words();
+                let (words, unit, _) = name.words(&JointUnits::REVOLUTE);
                 let text = Refusal::BadLimit(bad_limit).to_string();
-                assert!(text.contains(words) && text.contains(&format!("at most {most}{unit}")), "{text}");
+                assert!(text.contains(words) && text.contains(&format!("at most {most} {unit}")), "{text}");
             }
             let mut edge = rules_with_share(0.5);
             set(&mut edge.limits, axis, most);

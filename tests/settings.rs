@@ -79,6 +79,7 @@ fn assert_round_trip<S: Setting + PartialEq + Debug>(value: &S) {
 fn every_setting_decodes_to_the_encoded_value() {
     assert_round_trip(&rig::device(&rig::five_bar()));
     assert_round_trip(&rig::device(&rig::paddle()));
+    assert_round_trip(&rig::device(&rig::sensing_paddle()));
     assert_round_trip(&full_scene());
     assert_round_trip(&full_rules());
     assert_round_trip(&Polarity(7));
@@ -178,6 +179,16 @@ fn a_scene_of_version_1_keeps_its_velocity_terms() {
     assert_eq!(decode::<Scene<f32>>(&off), Ok(Scene { velocity_terms: VelocityTerms::Off, ..expected }));
     let cut = with_changed_body(&entry, |body| body.truncate(body.len() - 1));
     assert_eq!(decode::<Scene<f32>>(&cut), Err(Damage::Corrupt));
+}
+
+#[test]
+fn a_device_of_version_2_has_homing_by_hand_and_no_sensed_joints() {
+    let without_additions = |body: &mut Vec<u8>| {
+        body[1] = 2;
+        body.truncate(body.len() - 2);
+    };
+    let entry = with_changed_body(&encode(&stored_device()).unwrap(), without_additions);
+    assert_eq!(decode::<Device<f32>>(&entry), Ok(stored_device()));
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! Telemetry has a row for every step that the stream keeps, and reports the exact number of missing rows.
 
 use crate::common::property_config;
-use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{
+    BATCH_BYTES, Batch, Columns, Field, Fields, Frames, Packer, RowShape, StreamRequest,
+};
 use haptic_bridge::control::frame::StepRecord;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::render::step_result::{AtWalls, DeviceState};
@@ -24,7 +26,7 @@ fn frame(step: u32) -> StepRecord {
 }
 
 fn width(batch: &Batch) -> usize {
-    Fields(batch.fields).bytes(usize::from(batch.axes))
+    Fields(batch.fields).bytes(batch.shape())
 }
 
 fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
@@ -33,7 +35,7 @@ fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
 
 fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
     let mut packer = Packer::default();
-    packer.start(&StreamRequest { fields, divider, stream: 41 }, axes);
+    packer.start(&StreamRequest { fields, divider, stream: 41 }, RowShape::from(axes));
     packer
 }
 
@@ -49,6 +51,20 @@ fn a_row_holds_its_fields_in_their_order() {
     assert_eq!(batch.rows[8..12], [0xF9, 0xFF, 0xFF, 0xFF], "-7");
     assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, which f32 cannot represent");
     assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
+}
+
+#[test]
+fn a_row_has_a_number_for_each_encoder_without_a_motor() {
+    let mut packer = Packer::default();
+    let request = StreamRequest { fields: Fields(Field::Sensed.bit() | Field::State.bit()), divider: 1, stream: 41 };
+    packer.start(&request, RowShape { joints: 3, sensed: 2 });
+    packer.push(&StepRecord { sensed: [0.5, -1.0, 3.0], ..frame(9) }, 0);
+    let batch = packer.flush().unwrap().clone();
+    assert_eq!((batch.axes, batch.sensed, width(&batch)), (3, 2, 9));
+    assert_eq!(batch.rows[..], [0x21, 0, 0, 0, 0x3F, 0, 0, 0x80, 0xBF]);
+    let mut bytes = [0; 100];
+    let written = postcard::to_slice(&batch, &mut bytes).unwrap();
+    assert_eq!(postcard::from_bytes::<Batch>(written).unwrap(), batch);
 }
 
 #[test]
@@ -195,7 +211,7 @@ fn the_table_in_the_docs_agrees_with_the_fields() {
     for (row, field) in rows.iter().zip(Field::ALL) {
         assert_eq!(row[0], format!("`{}`", field.name()));
         assert_eq!((row[1], row[3]), (field.unit(), field.meaning()), "{field:?}");
-        assert_eq!(row[2].starts_with("per "), field.is_vector(), "{field:?}");
+        assert_eq!(row[2].starts_with("per "), field.columns() != Columns::One, "{field:?}");
     }
     let usual = page.split("`--fields usual` is ").nth(1).unwrap().split('.').next().unwrap();
     for field in Field::ALL {

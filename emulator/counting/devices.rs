@@ -4,7 +4,7 @@
 use core::f64::consts::TAU;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link, MAX_MODES};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, JointFrame, Link, MAX_MODES};
 
 const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
     let (com_across, inertia_products) = ([0.0; 2], [0.0; 3]);
@@ -42,7 +42,9 @@ pub const PADDLE: Description = Description {
     links: [NO_LINK; MAX_LINKS],
     joints: [joint(0.0008, 0.0008, 0.004, 60_000.0), NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0; MAX_JOINTS]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/haply-2diy.toml`.
@@ -58,7 +60,9 @@ pub const FIVE_BAR: Description = Description {
     ],
     joints: [joint(1.4e-6, 0.0003, 0.002, 10_752.0), joint(1.4e-6, 0.0003, 0.002, 10_752.0), NO_JOINT],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([2.3, 0.84159265358979, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/fictive-five-bar-turret.toml`.
@@ -78,7 +82,9 @@ pub const FIVE_BAR_TURRET: Description = Description {
         joint(7.0e-5, 0.0008, 0.004, 40_000.0),
     ],
     handle_mass: 0.03,
+    sensed: [None; 3],
     home: Some([0.0, 2.2, 0.94159265358979]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/phantom-premium-1.5.toml`.
@@ -98,7 +104,9 @@ pub const PARALLELOGRAM: Description = Description {
         joint(0.00013548, 0.0005, 0.01, 44_800.0),
     ],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0, 1.2, -0.1]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/serial-3r.toml`.
@@ -118,7 +126,9 @@ pub const SERIAL_3R: Description = Description {
         joint(1.0e-5, 0.0005, 0.003, 40_000.0),
     ],
     handle_mass: 0.03,
+    sensed: [None; 3],
     home: Some([0.3, 1.2, 0.8]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/falcon-like.toml`.
@@ -138,7 +148,9 @@ pub const DELTA: Description = Description {
         joint(4.65e-5, 0.0002, 0.003, 9753.6),
     ],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([0.6108652381980153; 3]),
+    homing: Homing::Hand,
 };
 
 /// Returns the link of a chain with its centre of mass on x and the inertia tensor diag(ixx, iyy, izz).
@@ -162,7 +174,9 @@ pub const PADDLES_2: Description = Description {
     links: [NO_LINK; MAX_LINKS],
     joints: [joint(3.4e-4, 0.0008, 0.004, 26_087.0), joint(3.4e-4, 0.0008, 0.004, 26_087.0), NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.0; MAX_JOINTS]),
+    homing: Homing::Hand,
 };
 
 /// Three paddles like those of `devices/two-paddles.toml`.
@@ -181,7 +195,9 @@ pub const CHAIN_1: Description = Description {
     links: [chain_link(0.02, 0.0, [1.0e-6; 3]), NO_LINK, NO_LINK, NO_LINK],
     joints: [Joint { prismatic: true, ..placed(joint(0.003, 0.2, 0.4, 23_622.0 * TAU), 0.0, X) }, NO_JOINT, NO_JOINT],
     handle_mass: 0.0,
+    sensed: [None; 3],
     home: Some([0.05, 0.0, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/planar-arm.toml`.
@@ -201,7 +217,9 @@ pub const CHAIN_2: Description = Description {
         NO_JOINT,
     ],
     handle_mass: 0.02,
+    sensed: [None; 3],
     home: Some([0.5, 1.2, 0.0]),
+    homing: Homing::Hand,
 };
 
 /// The device of `devices/touch.toml`.
@@ -221,5 +239,7 @@ pub const CHAIN_3: Description = Description {
         placed(joint(1.0e-4, 0.001, 0.012, 15_300.0), 0.134, Z),
     ],
     handle_mass: 0.015,
+    sensed: [None; 3],
     home: Some([0.0, 0.23, -2.15]),
+    homing: Homing::Hand,
 };

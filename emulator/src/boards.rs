@@ -28,8 +28,8 @@ pub struct EncoderWires {
     pub pins: [Pin; 2],
     /// Alternate function that connects the pins to the timer.
     pub function: u8,
-    /// Pin of the index mark.
-    pub index: Pin,
+    /// Pin of the index mark, if the board has one.
+    pub index: Option<Pin>,
 }
 
 /// A switched half bridge at one end of a motor.
@@ -64,7 +64,7 @@ pub struct MotorWires {
 pub struct Wiring {
     /// Name of the board and of its image.
     pub name: &'static str,
-    /// The encoders, one per axis.
+    /// The encoders, those of the axes first.
     pub encoders: &'static [EncoderWires],
     /// The motors, one per axis.
     pub motors: &'static [MotorWires],
@@ -104,8 +104,9 @@ const HALL_3V_VOLTS_PER_AMPERE: f64 = 0.185 * 0.6;
 static ODRIVE_V3: Wiring = Wiring {
     name: BoardKind::OdriveV3.name(),
     encoders: &[
-        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 9) },
-        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 15) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Some(Pin('C', 9)) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 15)) },
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: None },
     ],
     motors: &[
         MotorWires {
@@ -158,9 +159,9 @@ static ODRIVE_V3: Wiring = Wiring {
 static H_BRIDGE_F405: Wiring = Wiring {
     name: BoardKind::HBridgeF405.name(),
     encoders: &[
-        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 7) },
-        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
-        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Some(Pin('C', 7)) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Some(Pin('C', 8)) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 9)) },
     ],
     motors: &[
         h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL_VOLTS_PER_AMPERE)]),
@@ -184,9 +185,9 @@ static H_BRIDGE_F405: Wiring = Wiring {
 static H_BRIDGE_F407_DISC1: Wiring = Wiring {
     name: BoardKind::HBridgeF407Disc1.name(),
     encoders: &[
-        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 6) },
-        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
-        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Some(Pin('C', 6)) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Some(Pin('C', 8)) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 9)) },
     ],
     motors: &[
         h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_3V_VOLTS_PER_AMPERE)]),

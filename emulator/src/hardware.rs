@@ -309,10 +309,11 @@ impl Hardware {
         }
         let index = self.plant.index();
         for (encoder, mark) in wiring.encoders.iter().zip(index) {
-            let rises = mark && self.level(encoder.index) == Level::Low;
-            self.set_pin(encoder.index, Level::from(mark), at);
+            let Some(pin) = encoder.index else { continue };
+            let rises = mark && self.level(pin) == Level::Low;
+            self.set_pin(pin, Level::from(mark), at);
             if rises {
-                let (port, line) = port_and_pin(encoder.index);
+                let (port, line) = port_and_pin(pin);
                 self.chip.apply_rising_edge(at, port, line.bit());
             }
         }

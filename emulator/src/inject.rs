@@ -6,6 +6,7 @@
 use std::f64::consts::PI;
 
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
@@ -380,6 +381,12 @@ pub fn injection(fault: Fault) -> Injection {
             },
             6_000,
         ),
+        Fault::StopMissing => chip(
+            "a hand that moves the tip while a joint is pushed to its stop",
+            rig_pushing_to_stop,
+            |rig| push_tip(rig, [3.0, 3.0, 0.0]),
+            400,
+        ),
         Fault::SensorStale => chip(
             "a converter that is no longer triggered",
             rig_in_contact,
@@ -538,6 +545,31 @@ fn rig_with_index() -> Rig {
     rig.run(SECOND);
     rig.with_simulated(|device| sweep(device, HALF_SWEEP_METRES, -HALF_SWEEP_METRES));
     rig.run(SECOND);
+    rig
+}
+
+/// Returns a rig that pushes its first joint to a stop 0.4 rad from home, half a second after it began.
+fn rig_pushing_to_stop() -> Rig {
+    let mut file = device_file(FIVE_BAR);
+    let home = file.description.home.expect("a home pose");
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        joint.limits = Some((home - 0.4, home + 0.4));
+    }
+    file.description.homing = Homing::Stop(home.map(|home| home + 0.4));
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
+    rig.load("");
+    rig.tool.home().expect("roughly at home");
+    rig.check_polarity();
+    rig.run(SECOND);
+    // The first report of the key reads the present step.
+    rig.tool.hold_key(0).expect("the board replies");
+    let seen = rig.tool.step();
+    rig.tool.find_stops(seen).expect("homing starts");
+    for _ in 0..5 {
+        rig.run(100 * MILLISECOND);
+        let seen = rig.tool.step();
+        rig.tool.hold_key(seen).expect("the board replies");
+    }
     rig
 }
 

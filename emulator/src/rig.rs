@@ -4,7 +4,7 @@ use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
-use haptic_host::device_file::DeviceFile;
+use haptic_host::device_file::{BOARD_ENCODERS, DeviceFile};
 use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Options, PowerStage, SimulatedDevice};
@@ -37,7 +37,8 @@ pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// Returns the device file `name` with verified motors, and with wide joint limits where the file has none.
+/// Returns the device file `name` with verified motors, with wide joint limits where the file has none, and without the
+/// encoders for which no board has inputs.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));
@@ -48,6 +49,8 @@ pub fn device_file(name: &str) -> DeviceFile {
         }
         joint.limits.get_or_insert((-PI, PI));
     }
+    let left = BOARD_ENCODERS - file.spec().joints;
+    file.description.sensed.iter_mut().skip(left).for_each(|sensed| *sensed = None);
     file
 }
 

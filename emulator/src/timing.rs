@@ -128,12 +128,14 @@ impl Rig {
 }
 
 /// Devices and scenes whose control step is counted in every run of the tests.
-const STEPS: [(&str, SceneKind); 6] = [
+const STEPS: [(&str, SceneKind); 8] = [
     ("hapkit-paddle", SceneKind::Wall),
     ("haply-2diy", SceneKind::Wall),
     ("fictive-five-bar-turret", SceneKind::Wall),
     ("phantom-premium-1.5", SceneKind::Wall),
     ("serial-3r", SceneKind::Wall),
+    ("touch", SceneKind::Wall),
+    ("falcon-like", SceneKind::Wall),
     ("haply-2diy", SceneKind::Nothing),
 ];
 

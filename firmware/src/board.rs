@@ -105,6 +105,8 @@ pub trait Board {
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
     /// Number of motors that the board can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
+    /// Number of encoder inputs, those of the motors first, at most [`MAX_JOINTS`].
+    const ENCODERS: u8 = Self::AXES as u8;
     /// Data of the bridges for the drive.
     const BRIDGE: Bridge;
     /// Limits that cannot be raised over USB.
@@ -130,6 +132,9 @@ pub trait Board {
 pub trait Io {
     /// Updates the encoder counts, one per axis. They are 0 at power-on.
     fn update_counts(&mut self, counts: &mut Counts);
+    /// Updates the counts of the encoder inputs after those of the axes. Called once a step for a device with encoders
+    /// without motors.
+    fn update_other_counts(&mut self, _counts: &mut Counts) {}
     /// Returns true if an index pulse came since the last call of [`Io::marks`].
     fn has_marks(&self) -> bool;
     /// Returns the counts of the encoders with an index pulse since the last call.

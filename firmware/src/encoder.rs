@@ -2,7 +2,13 @@
 //! count by wrap-safe differences, which are exact if an encoder moves less than 32 768 counts between two readings.
 
 use embassy_stm32::gpio::{AfType, Flex, Pull};
+use embassy_stm32::pac;
 use embassy_stm32::pac::timer::{TimGp16, vals};
+
+/// TIM2 as a timer of 16 bits.
+// SAFETY: TIM2 has 32 bits and the registers of a 16-bit timer at the same places; `start` lets it count to 65 535.
+#[cfg_attr(feature = "toy-board", allow(dead_code, reason = "the toy board has one encoder"))]
+pub const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
 /// Starts a timer that counts the encoder at its channels 1 and 2, from 0. The timer's clock must be on. The inputs are
 /// pulled up for open-collector encoders, and filtered over eight timer clocks (95 ns), for up to two million counts

@@ -118,7 +118,7 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
                 }
                 match after {
                     AfterReply::Nothing => {}
-                    AfterReply::Stream(request, axes) => stream.start(&request, axes, &mut machine),
+                    AfterReply::Stream(request, shape) => stream.start(&request, shape, &mut machine),
                     AfterReply::BootLoader => restart(reset::reboot_to_boot_loader).await,
                     AfterReply::Restart => restart(reset::reboot).await,
                 }

@@ -135,6 +135,7 @@ impl Machine for BoardMachine {
             Command::Arm => Some(Command::MayArm),
             Command::ArmHeld(press) => Some(Command::MayArmHeld(press)),
             Command::CheckPolarity => Some(Command::MayCheckPolarity),
+            Command::FindStops(press) => Some(Command::MayFindStops(press)),
             _ => None,
         };
         let powers_up = question.is_some();

@@ -69,8 +69,14 @@ async fn main(spawner: Spawner) {
         clock::brown_out_level()
     );
 
-    let hardware =
-        Hardware { axes: This::AXES, real: true, bus_sensed: true, bridge: This::BRIDGE, timer_hz: clock::TIMER_HZ };
+    let hardware = Hardware {
+        axes: This::AXES,
+        encoders: This::ENCODERS,
+        real: true,
+        bus_sensed: true,
+        bridge: This::BRIDGE,
+        timer_hz: clock::TIMER_HZ,
+    };
     let rules = Rules { limits: This::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
     let (io, gate, common) = This::split(chip, carrier, self_test::check_board());

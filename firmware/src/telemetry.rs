@@ -3,7 +3,7 @@
 use core::sync::atomic::Ordering;
 
 use embassy_time::{Duration, Instant};
-use haptic_bridge::board::telemetry::{Batch, Frames as _, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{Batch, Frames as _, Packer, RowShape, StreamRequest};
 
 use crate::interrupt;
 use crate::machine::BoardMachine;
@@ -19,13 +19,13 @@ pub struct TelemetryStream {
 }
 
 impl TelemetryStream {
-    /// Starts a stream for a device of `axes` joints, or stops it when the request's divider is 0.
-    pub fn start(&mut self, request: &StreamRequest, axes: usize, machine: &mut BoardMachine) {
+    /// Starts a stream of rows of a shape, or stops it when the request's divider is 0.
+    pub fn start(&mut self, request: &StreamRequest, shape: RowShape, machine: &mut BoardMachine) {
         self.stop();
         while machine.frames.first().is_some() {
             machine.frames.drop_first();
         }
-        self.packer.start(request, axes);
+        self.packer.start(request, shape);
         interrupt::shared().frames_dropped.store(0, Ordering::Relaxed);
         interrupt::shared().stream_divider.store(request.divider, Ordering::Relaxed);
         self.last_batch = (request.divider > 0).then(Instant::now);

@@ -134,7 +134,8 @@ fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
 fn spin(board: &mut Board, which: usize) -> u32 {
     let Some(device) = board.service.device() else { return 0 };
     let axis = which % device.axes().max(1);
-    let (step, limit) = (device.joints[axis].radians_per_count.abs(), board.service.rules().limits.speed[axis]);
+    let limits = board.service.rules().limits.in_units(&device.mechanism.units());
+    let (step, limit) = (device.joints[axis].radians_per_count.abs(), limits.speed[axis]);
     // The board checks the limits at every crest of a carrier of at least 20 kHz.
     let counts = 2.0 * limit / step / 20_000.0;
     let ticks = (12.0 / counts).max(500.0);
@@ -146,7 +147,7 @@ fn spin(board: &mut Board, which: usize) -> u32 {
         board.samples.counts[axis] = from.wrapping_add((counts * tick as f32) as i32);
         board.tick();
     }
-    assert!(!board.state().drives(), "joint {axis} turns at twice its limit of {limit} rad/s");
+    assert!(!board.state().drives(), "joint {axis} moves at twice its limit of {limit} rad/s or m/s");
     ticks as u32
 }
 
@@ -154,7 +155,7 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     let before = board.state().drives();
     let answer = board.answer(&frame(key, body));
     assert!(answer.is_some(), "every frame with a header has a reply");
-    let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
+    let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY, FindStops::REQ_KEY].contains(&key);
     assert!(before || may_drive || !board.state().drives(), "motors on without a request");
     // With 0 ticks, the next request arrives before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
@@ -282,6 +283,7 @@ pub const TEMPLATES: &[Template] = &[
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
     (ArmHeld::REQ_KEY, |which| bytes_of(&press(which))),
+    (FindStops::REQ_KEY, |which| bytes_of(&press(which))),
     (Heartbeat::REQ_KEY, |which| {
         let held = Beat::Held(press(which));
         bytes_of(&[Beat::Here, held, held, Beat::Released][usize::from(which) % 4])

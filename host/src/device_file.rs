@@ -12,12 +12,13 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, JointFrame, Link, MAX_MODES, Stribeck,
-    StructuralMode, Transmission,
+    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, MAX_MODES,
+    MAX_SENSED, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::motor::{Motor, Winding};
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::with_mechanism;
 use nalgebra::{Matrix3, SVector};
 use std::path::{Path, PathBuf};
@@ -38,7 +39,12 @@ pub struct DeviceFile {
     pub supply: Option<f64>,
     /// `max_current` in the file, A, of each motor for which the supply reduces the current.
     pub max_current_in_file: [Option<f64>; MAX_JOINTS],
+    /// Names of the encoders without motors, one each; empty if the file has none.
+    pub sensed_names: Vec<String>,
 }
+
+/// Encoder inputs of every board (docs/wiring-*.md).
+pub const BOARD_ENCODERS: usize = 3;
 
 impl DeviceFile {
     /// Reads and checks the file at `path`.
@@ -72,9 +78,6 @@ impl DeviceFile {
             }
             match joint.motor {
                 None => missing.push(format!("{place} needs [joint.motor]")),
-                Some(_) if joint.prismatic => {
-                    missing.push(format!("{place} slides: real boards limit angles only, simulated boards take it"));
-                }
                 Some(motor) if !motor.verified => {
                     missing.push(format!("check the motor data of {place}, then write verified = true"));
                 }
@@ -83,6 +86,14 @@ impl DeviceFile {
                 }
                 Some(_) => {}
             }
+        }
+        let sensed = self.sensed_names.len();
+        let surplus = (self.spec().joints + sensed).saturating_sub(BOARD_ENCODERS);
+        if surplus > 0 {
+            missing.push(format!(
+                "a board has {BOARD_ENCODERS} encoder inputs, {surplus} too few for the joints and {sensed} [[sensed]]: \
+                 remove {surplus} of them"
+            ));
         }
         if self.description.home.is_none() {
             missing.push("[home] needs q, the pose that homing declares".into());
@@ -93,7 +104,7 @@ impl DeviceFile {
     /// Checks a document.
     pub fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
-            let (name, mut description, mechanism, supply) = device(top)?;
+            let (name, mut description, mechanism, supply, sensed_names) = device(top)?;
             let mut max_current_in_file = [None; MAX_JOINTS];
             for (joint, in_file) in description.joints.iter_mut().zip(&mut max_current_in_file) {
                 let Some((motor, supply)) = joint.motor.as_mut().zip(supply) else { continue };
@@ -103,18 +114,22 @@ impl DeviceFile {
                     motor.max_current = drivable;
                 }
             }
-            Ok(Self { path: document.path().into(), name, description, mechanism, supply, max_current_in_file })
+            let path = document.path().into();
+            Ok(Self { path, name, description, mechanism, supply, max_current_in_file, sensed_names })
         })
     }
 }
 
-/// Reads name, description, lumped coefficients and supply (V).
-fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Option<f64>), FileError> {
+/// Name, description, lumped coefficients, supply (V), and the names of encoders without motors.
+type Contents = (String, Description, AnyMechanism<f64>, Option<f64>, Vec<String>);
+
+fn device(top: &Table<'_>) -> Result<Contents, FileError> {
     if !top.has("mechanism") && ["wall", "spring", "field", "rate_hz", "cutoff_hz"].iter().any(|key| top.has(key)) {
         let reason = "this looks like a scene file, not a device file";
         return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
     }
-    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "supply"]);
+    let tables = ["geometry", "link", "joint", "handle", "home", "sensed"];
+    top.refuse_unknown_keys(&[&["name", "mechanism", "gravity", "supply"][..], &tables].concat());
     let name = top.keep(name(top), "");
     let kind = kind(top)?;
     let spec = kind.spec();
@@ -126,16 +141,21 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     let geometry = geometry_table.as_ref().map_or([0.0; MAX_GEOMETRY], |table| geometry(table, &spec));
     let links = top.keep(links(top, &spec), Default::default());
     let joints = top.keep(joints(top, &spec), Default::default());
-    let handle_mass = top.keep(top.table("handle"), None).map_or(0.0, |handle| {
+    let handle_mass = top.keep(handle(top, &spec), None).map_or(0.0, |handle| {
         handle.refuse_unknown_keys(&["mass"]);
         handle.required_number("mass", Must::NotBeNegative, "mass = 0.01")
     });
-    let home = top.keep(home(top, &spec, &joints), None);
+    let (home, homing) = top.keep(home(top, &spec, &joints), None).unzip();
+    let homing = homing.unwrap_or_default();
+    let sensed = top.keep(sensed(top), Vec::new());
     // The following checks need values without errors.
     top.check_no_errors()?;
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
-    let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
+    let (sensed_names, encoders): (Vec<String>, Vec<Encoder>) = sensed.into_iter().unzip();
+    let sensed = std::array::from_fn(|index| encoders.get(index).copied());
+    let gravity = padded(&gravity);
+    let description = Description { kind, gravity, geometry, links, joints, handle_mass, home, homing, sensed };
     let mechanism =
         AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
@@ -161,7 +181,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         let reason = "at the home pose the linkage cannot close: the links do not reach each other";
         return Err(table.error_at("q", impossible(reason, "write the joint angles of a pose the device can take")));
     }
-    Ok((name.to_string(), description, mechanism, supply))
+    Ok((name.to_string(), description, mechanism, supply, sensed_names))
 }
 
 /// Reads the mechanism. Mechanisms of one name differ in the number of joints.
@@ -191,6 +211,16 @@ fn gravity(top: &Table<'_>, spec: &Spec) -> Result<Vec<f64>, FileError> {
         return Err(top.error_at("gravity", impossible("a paddle's gravity has two entries", remedy)));
     }
     Ok(gravity)
+}
+
+/// Reads the table of the handle, which paddles do not have.
+fn handle<'a>(top: &Table<'a>, spec: &Spec) -> Result<Option<Table<'a>>, FileError> {
+    let handle = top.table("handle")?;
+    if spec.are_links_optional && handle.is_some() {
+        let remedy = "add its mass to [[link]], or its mass times length² to the joint's inertia";
+        return Err(top.error_at("handle", impossible("paddles take no [handle]", remedy)));
+    }
+    Ok(handle)
 }
 
 fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {
@@ -387,7 +417,7 @@ fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
         inertia,
         viscous: table.number_or("viscous", Must::NotBeNegative, 0.0),
         coulomb,
-        limits: table.keep(limits(table), None),
+        limits: table.keep(limits(table, JointUnits::of(prismatic).travel), None),
         encoder: part("encoder").map(|part| encoder_of(&part, prismatic)),
         motor: part("motor").map(|part| motor_of(&part, prismatic)),
         transmission,
@@ -488,12 +518,14 @@ fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileE
     Ok(modes)
 }
 
-fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
-    match joint.numbers("limits", 2, Must::BeFinite, "lowest, highest angle in rad")?.as_deref() {
+/// Reads a joint's limits in this unit.
+fn limits(joint: &Table<'_>, unit: &str) -> Result<Option<(f64, f64)>, FileError> {
+    let meaning = if unit == "m" { "lowest, highest travel in m" } else { "lowest, highest angle in rad" };
+    match joint.numbers("limits", 2, Must::BeFinite, meaning)?.as_deref() {
         Some([low, high]) if low < high => Ok(Some((*low, *high))),
         Some([low, high]) => {
             let reason = format!("limits of {} are the wrong way round: {low} is not below {high}", joint.place());
-            Err(joint.error_at("limits", impossible(reason, "write [lowest, highest] angle in rad")))
+            Err(joint.error_at("limits", impossible(reason, format!("write [{meaning}]"))))
         }
         _ => Ok(None),
     }
@@ -510,6 +542,27 @@ fn encoder_of(table: &Table<'_>, prismatic: bool) -> Encoder {
         offset: table.number_or("offset", Must::BeFinite, 0.0),
         inverted: table.flag_or("inverted", false),
     }
+}
+
+/// Reads names and data of the encoders without motors.
+fn sensed(top: &Table<'_>) -> Result<Vec<(String, Encoder)>, FileError> {
+    let tables = top.tables("sensed")?;
+    if let Some(surplus) = tables.get(MAX_SENSED) {
+        let reason = format!("there are {} [[sensed]] tables, and a device has {MAX_SENSED} at most", tables.len());
+        return Err(surplus.error_here(impossible(reason, "remove the others")));
+    }
+    let sensed = tables.into_iter().enumerate().map(|(index, table)| {
+        let table = table.with_place(format!("[[sensed]] {index}"));
+        table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted", "name"]);
+        let name = table.keep(table.string("name"), None).map_or(format!("sensed {index}"), String::from);
+        let encoder = Encoder {
+            counts_per_turn: table.required_number("counts_per_turn", Must::BePositive, "counts_per_turn = 4096"),
+            offset: table.number_or("offset", Must::BeFinite, 0.0),
+            inverted: table.flag_or("inverted", false),
+        };
+        (name, encoder)
+    });
+    Ok(sensed.collect())
 }
 
 fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
@@ -555,18 +608,26 @@ fn three_phase(table: &Table<'_>, prismatic: bool) -> Winding<f64> {
     Winding::ThreePhase { pole_pairs: pole_pairs as u8, ratio }
 }
 
-fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {
+/// Home pose (rad) and reference of homing.
+type Home = ([f64; MAX_JOINTS], Homing<f64>);
+
+fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<Home>, FileError> {
     let Some(table) = top.table("home")? else { return Ok(None) };
-    table.refuse_unknown_keys(&["q"]);
-    let q = table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
+    let references = [("hand", Homing::Hand), ("index", Homing::Index), ("stop", Homing::Stop([0.0; MAX_JOINTS]))];
+    let by = table.word("by", &references)?.unwrap_or_default();
+    table.refuse_unknown_keys(if matches!(by, Homing::Stop(_)) { &["q", "by", "stop"] } else { &["q", "by"] });
+    let q =
+        table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad, of a slide its travel in m")?;
     let q = table.require("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
     for (index, (angle, joint)) in q.iter().zip(joints).enumerate() {
         if let Some((low, high)) = joint.limits
             && !(low..=high).contains(angle)
         {
-            let reason = format!("home puts joint {index} at {angle} rad, outside its limits [{low}, {high}]");
+            let unit = JointUnits::of(joint.prismatic).travel;
+            let reason = format!("home puts joint {index} at {angle} {unit}, outside its limits [{low}, {high}]");
             let radians = angle.to_radians();
             let remedy = match angle.abs() > TAU && (low..=high).contains(&radians) {
+                _ if joint.prismatic => "move home or widen the limits; lengths are in metres".into(),
                 true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
                 false if low.abs().max(high.abs()) > TAU && (low.to_radians()..=high.to_radians()).contains(angle) => {
                     let [low, high] = [low, high].map(f64::to_radians);
@@ -577,7 +638,44 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
             return Err(table.error_at_element("q", index, impossible(reason, remedy)));
         }
     }
-    Ok(Some(padded(&q)))
+    let homing = match by {
+        Homing::Hand => by,
+        Homing::Index => {
+            for (index, joint) in top.tables("joint")?.iter().enumerate() {
+                if !joint.table("encoder")?.is_some_and(|encoder| encoder.has("offset")) {
+                    let reason =
+                        format!("homing by index needs the angle of joint {index} at its encoder's index mark");
+                    let remedy = format!("write offset = 0.0 in [joint.encoder] of joint {index}, in rad");
+                    return Err(table.error_at("by", impossible(reason, remedy)));
+                }
+            }
+            by
+        }
+        Homing::Stop(_) => Homing::Stop(stops(&table, spec, joints)?),
+    };
+    Ok(Some((padded(&q), homing)))
+}
+
+/// Largest distance of a stop from the nearest limit of its joint, as a share of the limits' range.
+const MAX_STOP_DISTANCE: f64 = 0.1;
+
+/// Reads the joint angles (rad) at the stops, each at or just beyond a limit.
+fn stops(table: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<[f64; MAX_JOINTS], FileError> {
+    let stops = table.numbers("stop", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
+    let ends = joints.iter().take(spec.joints).map(|joint| joint.limits.map_or(0.0, |(low, _)| low));
+    let stops = table.require("stop", stops, format!("stop = {:?}", ends.collect::<Vec<f64>>()))?;
+    for (index, (stop, joint)) in stops.iter().zip(joints).enumerate() {
+        let near = |(low, high): (f64, f64)| {
+            let beyond = (low - stop).max(stop - high);
+            (0.0..=MAX_STOP_DISTANCE * (high - low)).contains(&beyond)
+        };
+        if !joint.limits.is_some_and(near) {
+            let reason = format!("joint {index} has no limit near a stop at {stop} rad");
+            let remedy = "a stop is at a limit of its joint or beyond it by at most a tenth of the limits' range";
+            return Err(table.error_at_element("stop", index, impossible(reason, remedy)));
+        }
+    }
+    Ok(padded(&stops))
 }
 
 /// Returns the first joint whose modes, together with the modes of the joints before this joint, leave the links no

@@ -1,8 +1,17 @@
 //! Converts between a device's task frame and CHAI3D's frame, which has x towards the operator, y to the right and z
-//! up.
+//! up. Computes the handle's orientation.
 
 use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::MAX_SENSED;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::str::FromStr;
+
+/// Returns the rotation Rz(s₀) Ry(s₁) Rx(s₂) of the angles of the encoders without motors, rad: the handle's
+/// orientation on the link that carries the encoders.
+pub fn rotation(sensed: &[f32; MAX_SENSED]) -> Matrix3<f64> {
+    let [yaw, pitch, roll] = sensed.map(f64::from);
+    Rotation3::from_euler_angles(roll, pitch, yaw).into_inner()
+}
 
 /// For each of CHAI3D's axes, the index and sign of the task axis; `None` if the device does not move along this axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +46,23 @@ impl Axes {
     /// Converts a vector from the task frame to CHAI3D's frame.
     pub fn to_chai3d(self, task: [f64; 3]) -> [f64; 3] {
         self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
+    }
+    /// Returns the matrix that turns vectors of the task frame to CHAI3D's frame. Axes that the device lacks complete a
+    /// right-handed frame.
+    pub fn matrix(self) -> Matrix3<f64> {
+        let mut rows = self.0.map(|axis| axis.map(|(index, sign)| sign * Vector3::ith(index, 1.0)));
+        let known: Vec<usize> = (0..3).filter(|row| rows[*row].is_some()).collect();
+        if let [row] = known[..]
+            && let Some((index, _)) = self.0[row]
+        {
+            rows[(row + 1) % 3] = Some(Vector3::ith((index + 1) % 3, 1.0));
+        }
+        let [x, y, z] = std::array::from_fn(|row| match (rows[row], rows[(row + 1) % 3], rows[(row + 2) % 3]) {
+            (Some(known), ..) => known,
+            (None, Some(next), Some(last)) => next.cross(&last),
+            _ => Vector3::ith(row, 1.0),
+        });
+        Matrix3::from_columns(&[x, y, z]).transpose()
     }
     /// Converts a vector from CHAI3D's frame to the task frame. Drops components along axes that the device lacks.
     pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
@@ -100,6 +126,28 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_handle_that_turns_about_a_task_axis_turns_about_this_axis_in_chai3d() {
+        for kind in Kind::ALL {
+            for has_weight in [false, true] {
+                let axes = Axes::of(*kind, has_weight);
+                assert!((axes.matrix().determinant() - 1.0).abs() < 1e-12, "{kind:?}");
+                for (index, angle) in [(0, [0.0, 0.0, 0.3]), (1, [0.0, 0.3, 0.0]), (2, [0.3, 0.0, 0.0])] {
+                    let turned = axes.matrix() * rotation(&angle) * axes.matrix().transpose();
+                    let axis = Vector3::ith(index, 1.0);
+                    assert!((turned * axes.matrix() * axis - axes.matrix() * axis).norm() < 1e-12, "{kind:?}");
+                    let trace: f64 = 1.0 + 2.0 * f64::from(0.3_f32).cos();
+                    assert!((turned.trace() - trace).abs() < 1e-12, "{kind:?}");
+                }
+            }
+        }
+        // Rz(0.1) Ry(0.2) Rx(0.3) of the x axis.
+        let x = rotation(&[0.1, 0.2, 0.3]) * Vector3::x();
+        let (yaw, pitch) = (f64::from(0.1_f32), f64::from(0.2_f32));
+        let expected = Vector3::new(yaw.cos() * pitch.cos(), yaw.sin() * pitch.cos(), -pitch.sin());
+        assert!((x - expected).norm() < 1e-12);
     }
 
     #[test]

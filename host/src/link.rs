@@ -23,5 +23,5 @@ pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, MAX_FRAME, Packet, encode, encode_plain};
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
 pub use session::{FADE_S, HOLD_S, PATIENCE, Session};
-pub use telemetry::{Column, Losses, Row, columns, fields, max_rows_per_second};
+pub use telemetry::{Column, Losses, Row, columns, fields, max_rows_per_second, unit_of};
 pub use wire::{SerialWire, TcpWire, Wire, should_retry};

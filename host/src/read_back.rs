@@ -7,9 +7,11 @@
 use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
+use haptic_bridge::model::description::Homing;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::Winding;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Wall};
 use haptic_bridge::render::velocity::CutoffMeaning;
@@ -270,12 +272,12 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
 }
 
 fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismatic: bool) {
-    let [travel, viscous, coulomb] = if prismatic { ["m", "N s/m", "N"] } else { ["rad", "N m s/rad", "N m"] };
+    let units = JointUnits::of(prismatic);
     let mut into = table(entries, "[[joint]]", index);
-    into.number("viscous", joint.viscous.into(), viscous);
-    into.number("coulomb", joint.coulomb.into(), coulomb);
+    into.number("viscous", joint.viscous.into(), units.viscous);
+    into.number("coulomb", joint.coulomb.into(), units.torque);
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &to_f64(&[low, high]), travel);
+        into.numbers("limits", &to_f64(&[low, high]), units.travel);
     }
     let size = f64::from(joint.radians_per_count.abs());
     if size > 0.0 {
@@ -286,7 +288,7 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
             true => into.number("counts_per_metre", 1.0 / size, ""),
             false => into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, ""),
         }
-        into.number("offset", joint.offset.into(), travel);
+        into.number("offset", joint.offset.into(), units.travel);
         into.flag("inverted", joint.radians_per_count < 0.0);
     }
     if let Some(motor) = joint.motor {
@@ -323,8 +325,26 @@ pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
         put_joint(&mut entries, index, joint, device.mechanism.is_prismatic(index));
     }
+    for (index, joint) in device.sensed.iter().enumerate() {
+        let mut into = table(&mut entries, "[[sensed]]", index);
+        let counts_per_turn = TAU / f64::from(joint.radians_per_count.abs());
+        into.number("counts_per_turn", f64::from(counts_per_turn as f32), "");
+        into.number("offset", joint.offset.into(), "rad");
+        into.flag("inverted", joint.radians_per_count < 0.0);
+    }
     if let Some(home) = device.home {
-        table(&mut entries, "[home]", 0).numbers("q", &to_f64(&home[..spec.joints]), "rad");
+        let units = device.mechanism.units();
+        let unit = if units.iter().all(|other| other == &units[0]) { units[0].travel } else { "rad or m" };
+        let mut into = table(&mut entries, "[home]", 0);
+        into.numbers("q", &to_f64(&home[..spec.joints]), unit);
+        match device.homing {
+            Homing::Hand => {}
+            Homing::Index => into.word("by", "index"),
+            Homing::Stop(stops) => {
+                into.word("by", "stop");
+                into.numbers("stop", &to_f64(&stops[..spec.joints]), unit);
+            }
+        }
     }
     entries
 }

@@ -1,5 +1,6 @@
 //! Text for walls, faults and numbers in messages.
 
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::{FeedForward, Wall};
 use haptic_bridge::safety::fault::FaultRecord;
 
@@ -13,6 +14,15 @@ pub fn commands_to_calls(text: &str, calls: &[(&str, &str)]) -> String {
 pub fn fault_and_remedy(record: &FaultRecord) -> String {
     let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
     format!("{}{joint}; {}", record.fault, record.fault.remedy())
+}
+
+/// Joins a unit of a device's joints: "rad", or "rad, m" if the joints differ.
+pub fn joint_units(joints: &[&JointUnits], unit: impl Fn(&JointUnits) -> &'static str) -> String {
+    let mut units: Vec<&str> = joints.iter().map(|joint| unit(joint)).collect();
+    if units.iter().all(|unit| *unit == units[0]) {
+        units.truncate(1);
+    }
+    units.join(", ")
 }
 
 /// Describes a wall.

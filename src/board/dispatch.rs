@@ -7,7 +7,7 @@
 use crate::board::machine::{Machine, Measurements};
 use crate::board::protocol::*;
 use crate::board::service::Service;
-use crate::board::telemetry::{Batch, Field, StreamRequest};
+use crate::board::telemetry::{Batch, Field, RowShape, StreamRequest};
 use crate::control::Command;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
@@ -27,8 +27,8 @@ pub trait Described: Machine {
 pub enum AfterReply {
     /// No work.
     Nothing,
-    /// Start, change or stop the telemetry stream, for a device with this number of axes.
-    Stream(StreamRequest, usize),
+    /// Start, change or stop the telemetry stream, with rows of this shape.
+    Stream(StreamRequest, RowShape),
     /// Enter the boot loader.
     BootLoader,
     /// Restart.
@@ -167,12 +167,13 @@ fn route<M: Described>(
         GetRules: |()| *service.rules();
         Home: |()| service.home(machine);
         CheckPolarity: |()| service.check_polarity(machine);
+        FindStops: |press| service.find_stops(machine, press);
         Clear: |()| service.clear(machine);
         GetFaults: |()| service.faults().clone();
         Stream: |stream| {
             let energy = stream.divider > 0 && stream.fields.0 & Field::Energy.bit() != 0;
             machine.execute(Command::ShowEnergy(energy)).0?;
-            *after = AfterReply::Stream(stream, service.device().map_or(0, |device| device.axes()));
+            *after = AfterReply::Stream(stream, RowShape::of(service.device()));
             Ok(())
         };
         Save: |()| service.save(machine);

@@ -23,7 +23,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of the protocol, increased with every change of a message.
-pub const PROTOCOL: u16 = 12;
+pub const PROTOCOL: u16 = 13;
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
 /// Maximum number of faults in the board's history.
@@ -51,6 +51,8 @@ pub struct Details {
     pub name: String<32>,
     /// Number of motor axes.
     pub axes: u8,
+    /// Number of encoder inputs, those of the motor axes included.
+    pub encoders: u8,
     /// True if the motors are real.
     pub real: bool,
     /// Carrier frequency at the present control rate, Hz.
@@ -154,6 +156,7 @@ endpoints! {
     | SetName       | Name          | Outcome     | "haptic/name"      |
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |
+    | FindStops     | Press         | Outcome     | "haptic/stops"     |
 }
 
 topics! {

@@ -14,6 +14,7 @@ use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
 use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
+use crate::model::description::Homing;
 use crate::model::device::Device;
 use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
@@ -111,6 +112,7 @@ impl Service {
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
+            encoders: self.hardware.encoders,
             real: self.hardware.real,
             carrier_hz,
             delay_samples,
@@ -292,7 +294,7 @@ impl Service {
         }
     }
 
-    /// Takes the present pose as the device's home pose.
+    /// Takes the present pose as the device's home pose, or homes by index marks that the joints have passed.
     pub fn home(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::Home).0
     }
@@ -302,6 +304,11 @@ impl Service {
         machine.execute(Command::CheckPolarity).0?;
         self.checked_device = None;
         Ok(())
+    }
+
+    /// Pushes each joint to its stop while `key` is held, and homes the device.
+    pub fn find_stops(&mut self, machine: &mut impl Machine, key: Press) -> Result<(), Refusal> {
+        machine.execute(Command::FindStops(key)).0
     }
 
     /// Turns the motors on. With a `key`, the motors stay on only while the key is held.
@@ -384,7 +391,15 @@ fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
         });
         joint.offset.is_finite() && joint.viscous.is_finite() && joint.counts_per_turn >= 0 && limits && motor
     });
+    let stops = match device.homing {
+        Homing::Stop(stops) => device.joints.iter().take(device.axes()).zip(stops).all(|(joint, stop)| {
+            stop.is_finite() && joint.limits.is_some_and(|(low, high)| stop <= low || stop >= high)
+        }),
+        Homing::Hand | Homing::Index => true,
+    };
+    let sensed = (device.sensed.iter())
+        .all(|joint| joint.radians_per_count.is_finite() && joint.radians_per_count != 0.0 && joint.offset.is_finite());
     let pose = device.home.unwrap_or_default();
     let mechanism = device.mechanism.is_finite_at::<K>(&pose);
-    if usable && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
+    if usable && stops && sensed && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
 }

@@ -76,8 +76,10 @@ const END_POSITION: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    /// Version 2 added the scale of a five-bar's rods.
-    const VERSION: u8 = 2;
+    /// Version 2 added the scale of a five-bar's rods, version 3 the reference of homing and the encoders without motors.
+    const VERSION: u8 = 3;
+    /// Appends homing by hand and an empty list.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(2, END_POSITION, &[0x00, 0x00])];
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;

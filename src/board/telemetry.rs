@@ -5,7 +5,10 @@
 //! the board's count of dropped rows. Every batch carries its stream's number, so that a tool can ignore other streams.
 
 use crate::control::frame::StepRecord;
+use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::MAX_SENSED;
+use crate::model::device::Device;
 use crate::render::scene::MAX_WALLS;
 use heapless::Vec;
 use postcard_schema::Schema;
@@ -51,9 +54,53 @@ impl Number for u8 {
     const KIND: Kind = Kind::Byte;
 }
 
+/// Columns of a field in a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Columns {
+    /// A single number.
+    One,
+    /// One number per joint or task axis.
+    Joints,
+    /// One number per encoder without a motor.
+    Sensed,
+}
+
+/// Numbers of joints and of encoders without motors of a device, which give the columns of its rows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RowShape {
+    /// Number of joints.
+    pub joints: usize,
+    /// Number of encoders without motors.
+    pub sensed: usize,
+}
+
+impl RowShape {
+    /// Returns the shape of a board's rows: the device's, or no columns per joint without a device.
+    pub fn of<T: Real>(device: Option<&Device<T>>) -> Self {
+        device.map_or_else(Self::default, |device| Self { joints: device.axes(), sensed: device.sensed.len() })
+    }
+
+    const fn columns(self, columns: Columns) -> usize {
+        match columns {
+            Columns::One => 1,
+            Columns::Joints if self.joints < MAX_JOINTS => self.joints,
+            Columns::Joints => MAX_JOINTS,
+            Columns::Sensed if self.sensed < MAX_SENSED => self.sensed,
+            Columns::Sensed => MAX_SENSED,
+        }
+    }
+}
+
+impl From<usize> for RowShape {
+    /// Returns the shape of a device with this number of joints, all with motors.
+    fn from(joints: usize) -> Self {
+        Self { joints, sensed: 0 }
+    }
+}
+
 macro_rules! fields {
-    ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr => $Type:ty, $meaning:literal;)*) => {
-        /// A quantity of a telemetry row: a number, or one number per axis.
+    ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $columns:ident, |$frame:ident, $i:ident| $value:expr => $Type:ty, $meaning:literal;)*) => {
+        /// A quantity of a telemetry row: a number, or one number per axis or encoder.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Field { $(#[doc = $meaning] $Name,)* }
 
@@ -77,20 +124,24 @@ macro_rules! fields {
             pub const fn meaning(self) -> &'static str {
                 match self { $(Field::$Name => $meaning,)* }
             }
-            /// Returns true if the field has one number per axis.
-            pub const fn is_vector(self) -> bool {
-                match self { $(Field::$Name => $vector,)* }
+            /// Returns the columns of the field.
+            pub const fn columns(self) -> Columns {
+                match self { $(Field::$Name => Columns::$columns,)* }
+            }
+            /// Returns the number of the field's columns in rows of a shape.
+            pub const fn count(self, shape: RowShape) -> usize {
+                shape.columns(self.columns())
             }
             /// Returns the encoding of the field's numbers.
             pub const fn kind(self) -> Kind {
                 match self { $(Field::$Name => <$Type as Number>::KIND,)* }
             }
-            /// Passes the bytes of each number of the `wanted` fields to `number`, in the order of the columns, for
-            /// `axes` joints.
+            /// Passes the bytes of each number of the `wanted` fields to `number`, in the order of the columns, for rows
+            /// of a shape.
             #[inline(always)]
-            fn for_each_number(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
+            fn for_each_number(wanted: Fields, shape: RowShape, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
                 $(if wanted.0 & Field::$Name.bit() != 0 {
-                    for i in 0..if $vector { axes.min($crate::model::catalogue::MAX_JOINTS) } else { 1 } {
+                    for i in 0..Field::$Name.count(shape) {
                         let value: $Type = (|$frame: &StepRecord, $i: usize| $value)(frame, i);
                         number(&value.to_le_bytes());
                     }
@@ -101,41 +152,43 @@ macro_rules! fields {
 }
 
 fields! {
-    Angle = 0, "q", "rad", true, |frame, i| frame.at.q[i] => f32,
+    Angle = 0, "q", "rad", Joints, |frame, i| frame.at.q[i] => f32,
         "Joint angles";
-    Speed = 1, "qd", "rad/s", true, |frame, i| frame.at.qd[i] => f32,
+    Speed = 1, "qd", "rad/s", Joints, |frame, i| frame.at.qd[i] => f32,
         "Joint velocities, filtered by the scene's estimator";
-    Tip = 2, "tip", "m", true, |frame, i| frame.at.tip[i] => f32,
+    Tip = 2, "tip", "m", Joints, |frame, i| frame.at.tip[i] => f32,
         "Tip in the task frame; on a redundant arm the last number is the orientation in rad";
-    Torque = 3, "torque", "N m", true, |frame, i| frame.motors.torque[i] => f32,
+    Torque = 3, "torque", "N m", Joints, |frame, i| frame.motors.torque[i] => f32,
         "Commanded joint torques, after all limits; 0 if the motors are off";
-    Current = 4, "current", "A", true, |frame, i| frame.motors.current[i] => f32,
+    Current = 4, "current", "A", Joints, |frame, i| frame.motors.current[i] => f32,
         "Motor currents: measured, or commanded if the board has no current sensors";
-    Duty = 5, "duty", "", true, |frame, i| frame.motors.duty[i] => f32,
+    Duty = 5, "duty", "", Joints, |frame, i| frame.motors.duty[i] => f32,
         "Bridge duties of the carrier period after the step, as a signed share of the bus voltage";
-    Distance = 6, "distance", "m", false, |frame, _i| frame.at.walls.distance => f32,
+    Distance = 6, "distance", "m", One, |frame, _i| frame.at.walls.distance => f32,
         "Distance of the tip to the deepest wall, negative inside it; 0 without walls";
-    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.at.walls.normal_velocity => f32,
+    NormalVelocity = 7, "velocity", "m/s", One, |frame, _i| frame.at.walls.normal_velocity => f32,
         "Filtered tip velocity along the normal of the deepest wall, positive out of it";
-    WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force => f32,
+    WallForce = 8, "force", "N", One, |frame, _i| frame.at.walls.wall_force => f32,
         "Force of the walls, summed over the touched walls, before ramp and limits";
-    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force => f32,
+    RenderedForce = 15, "rendered", "N", One, |frame, _i| frame.motors.rendered_force => f32,
         "The value of `force` after ramp and limits: less the part along the normal of the deepest wall that the ramp and the limits of tip force, torque and current removed; 0 unless armed";
-    Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i) => u8,
+    Saturated = 16, "saturated", "", Joints, |frame, i| frame.saturation(i) => u8,
         "Saturation of each motor: 0 none, 1 a limit of torque, current or tip force changed the requested torque, 2 the duty is at its maximum, 3 both";
-    Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping => f32,
+    Shaping = 9, "shaping", "", One, |frame, _i| frame.at.walls.shaping => f32,
         "Active share of the feed-forward; it fades from 1 to 0 near singular poses";
-    Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy => f32,
+    Energy = 10, "energy", "J", One, |frame, _i| frame.at.walls.energy => f32,
         "Energy that the walls, the feed-forward included, have absorbed since contact or the stream began; negative if they generated energy";
-    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping => f32,
+    PassivityDamping = 11, "passivity", "N s/m", One, |frame, _i| frame.at.walls.passivity_damping => f32,
         "Damping that the passivity controller added";
-    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage => f32,
+    BusVoltage = 12, "bus", "V", One, |frame, _i| frame.motors.bus_voltage => f32,
         "Bus voltage; 0 if it is not measured";
-    Counts = 13, "counts", "", true, |frame, i| frame.counts[i] => i32,
+    Counts = 13, "counts", "", Joints, |frame, i| frame.counts[i] => i32,
         "Encoder counts, 32 bits, wrapping, before homing";
     // Values: 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for each touched wall.
-    State = 14, "state", "", false, |frame, _i| frame.state as u8 | frame.at.walls.contacts << 4 => u8,
+    State = 14, "state", "", One, |frame, _i| frame.state as u8 | frame.at.walls.contacts << 4 => u8,
         "The board's state as a word, and the number of touched walls (`contacts`)";
+    Sensed = 17, "sensed", "rad", Sensed, |frame, i| frame.sensed[i] => f32,
+        "Angles of the encoders without motors: `offset` at the home pose; until `haptic home`, at the start";
 }
 
 /// A set of fields.
@@ -152,7 +205,8 @@ impl Fields {
             | Field::WallForce.bit()
             | Field::RenderedForce.bit()
             | Field::Saturated.bit()
-            | Field::State.bit(),
+            | Field::State.bit()
+            | Field::Sensed.bit(),
     );
     /// All fields.
     pub const ALL: Fields = Fields(all_bits());
@@ -162,13 +216,13 @@ impl Fields {
         self.0 & field.bit() != 0
     }
 
-    /// Returns the number of bytes in one row for a device with `axes` joints.
-    pub const fn bytes(self, axes: usize) -> usize {
+    /// Returns the number of bytes in one row of a shape.
+    pub const fn bytes(self, shape: RowShape) -> usize {
         let (mut sum, mut i) = (0, 0);
         while i < Field::ALL.len() {
             let field = Field::ALL[i];
             if self.has(field) {
-                sum += field.kind().bytes() * if field.is_vector() { axes } else { 1 };
+                sum += field.kind().bytes() * field.count(shape);
             }
             i += 1;
         }
@@ -176,8 +230,11 @@ impl Fields {
     }
 }
 
+/// Shape of the widest row.
+pub const MAX_SHAPE: RowShape = RowShape { joints: MAX_JOINTS, sensed: MAX_SENSED };
+
 const _: () = assert!(
-    Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16,
+    Fields::ALL.bytes(MAX_SHAPE) <= BATCH_BYTES && MAX_WALLS < 16,
     "a row fits into a batch, and the number of walls into the state's byte"
 );
 
@@ -214,13 +271,22 @@ pub struct Batch {
     pub divider: u32,
     /// Number of rows that the board dropped since the stream started, because the link was too slow.
     pub dropped: u32,
-    /// Number of axes in a vector field.
+    /// Number of joints, see [`RowShape`].
     pub axes: u8,
+    /// Number of encoders without motors.
+    pub sensed: u8,
     /// Bits of [`Fields`].
     pub fields: u32,
     /// Rows in sequence, each in the order of [`Field::ALL`], each number encoded as its [`Field::kind`].
     #[serde(serialize_with = "serialize_bytes")]
     pub rows: Vec<u8, BATCH_BYTES>,
+}
+
+impl Batch {
+    /// Returns the shape of the rows.
+    pub fn shape(&self) -> RowShape {
+        RowShape { joints: self.axes.into(), sensed: self.sensed.into() }
+    }
 }
 
 /// Serializes bytes as postcard does, but in one piece.
@@ -247,19 +313,19 @@ pub struct Packer {
 }
 
 impl Packer {
-    /// Starts a stream for a device of `axes` joints.
-    pub fn start(&mut self, request: &StreamRequest, axes: usize) {
-        let axes = axes.min(MAX_JOINTS);
+    /// Starts a stream of rows of a shape.
+    pub fn start(&mut self, request: &StreamRequest, shape: RowShape) {
+        let shape = RowShape { joints: shape.joints.min(MAX_JOINTS), sensed: shape.sensed.min(MAX_SENSED) };
         let fields = request.fields.0 & Fields::ALL.0;
         for batch in &mut self.batches {
             batch.stream = request.stream;
             batch.divider = request.divider;
             batch.fields = fields;
-            batch.axes = axes as u8;
+            (batch.axes, batch.sensed) = (shape.joints as u8, shape.sensed as u8);
             batch.rows.clear();
         }
         self.finished_batches = 0;
-        self.width = Fields(fields).bytes(axes);
+        self.width = Fields(fields).bytes(shape);
     }
 
     /// Ends the stream.
@@ -289,8 +355,8 @@ impl Packer {
             batch.first_step = frame.step;
         }
         batch.dropped = dropped;
-        let (fields, bytes) = (Fields(batch.fields), &mut batch.rows);
-        Field::for_each_number(fields, batch.axes.into(), frame, |number| {
+        let (fields, shape, bytes) = (Fields(batch.fields), batch.shape(), &mut batch.rows);
+        Field::for_each_number(fields, shape, frame, |number| {
             let _ = bytes.extend_from_slice(number);
         });
         if full.is_none() && batch.rows.len() + self.width > BATCH_BYTES {
@@ -335,16 +401,16 @@ impl Packer {
 
 #[cfg(test)]
 mod tests {
-    use super::{Fields, Kind, Number};
+    use super::{Columns, Fields, Kind, Number, RowShape};
     use crate::control::frame::{Motors, StepRecord};
     use crate::control::joints::Torques;
     use crate::render::step_result::{AtWalls, DeviceState};
     use heapless::Vec;
 
     fields! {
-        Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1] => f32, "How high the tip is";
-        Doubled = 5, "doubled", "N m", true, |frame, i| (2.0 * frame.motors.torque[i]) as u8 => u8, "Twice the torque";
-        Depth = 6, "depth", "mm", false, |frame, _i| (-1000.0 * frame.at.walls.distance) as i32 => i32, "Depth in the deepest wall";
+        Height = 3, "height", "m", One, |frame, _i| frame.at.tip[1] => f32, "How high the tip is";
+        Doubled = 5, "doubled", "N m", Joints, |frame, i| (2.0 * frame.motors.torque[i]) as u8 => u8, "Twice the torque";
+        Depth = 6, "depth", "mm", One, |frame, _i| (-1000.0 * frame.at.walls.distance) as i32 => i32, "Depth in the deepest wall";
     }
 
     /// Checks that all properties of a field come from its line in the table.
@@ -355,15 +421,17 @@ mod tests {
         let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
         let frame = StepRecord { at, motors, ..StepRecord::default() };
         let described =
-            |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.kind(), field.meaning());
+            |field: &Field| (field.bit(), field.name(), field.unit(), field.columns(), field.kind(), field.meaning());
         let expected = [
-            (8, "height", "m", false, Kind::Float, "How high the tip is"),
-            (32, "doubled", "N m", true, Kind::Byte, "Twice the torque"),
-            (64, "depth", "mm", false, Kind::Integer, "Depth in the deepest wall"),
+            (8, "height", "m", Columns::One, Kind::Float, "How high the tip is"),
+            (32, "doubled", "N m", Columns::Joints, Kind::Byte, "Twice the torque"),
+            (64, "depth", "mm", Columns::One, Kind::Integer, "Depth in the deepest wall"),
         ];
         assert!(Field::ALL.iter().map(described).eq(expected));
         let mut row = Vec::<u8, 16>::new();
-        Field::for_each_number(Fields(8 | 32 | 64), 2, &frame, |number| row.extend_from_slice(number).unwrap());
+        Field::for_each_number(Fields(8 | 32 | 64), RowShape::from(2), &frame, |number| {
+            row.extend_from_slice(number).unwrap()
+        });
         // 0.2 is 0x3E4CCCCD (IEEE 754), 500 is 0x1F4.
         assert_eq!(row[..], [0xCD, 0xCC, 0x4C, 0x3E, 2, 4, 0xF4, 1, 0, 0]);
     }

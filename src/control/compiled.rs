@@ -80,6 +80,13 @@ pub fn check_slow_faults(control_loop: &mut BoardControlLoop, seen: &Samples) ->
     control_loop.outputs()
 }
 
+/// Computes the angles of encoders without motors, see [`ControlLoop::sense`]. Call before [`note`] if the device has
+/// any.
+#[inline(never)]
+pub fn sense(control_loop: &mut BoardControlLoop, inputs: &Counts) {
+    control_loop.sense(&inputs[..]);
+}
+
 /// Records the samples of the last crest's step, and writes its record to `frame` if telemetry streams. Call at the
 /// valley after the step, before [`check_slow_faults`] and any command.
 #[inline(never)]

@@ -6,13 +6,15 @@
 
 use super::ControlLoop;
 use super::budgets::Sums;
+use super::polarity::stops::HOMING_MARGIN;
 use crate::control::frame::Samples;
 use crate::control::program::Program;
 use crate::drive::bits::{margin_bits, margin_bits_between, margin_counts};
 use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
-use crate::math::Math;
+use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::safety::fault::Fault;
+use crate::model::description::Homing;
+use crate::safety::fault::{Fault, State};
 use crate::safety::limits::POWER_SECONDS;
 use core::ops::DerefMut;
 
@@ -195,12 +197,20 @@ where
         };
     }
 
-    /// Sets the joints' ranges. Call after a change of device or homing.
+    /// Sets the joints' ranges, which include the stops during homing. Call after a change of device or homing.
     pub(super) fn set_ranges(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let zero = program.controller.zero();
         for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
-            let range = range(program.limits[i], program.radians_per_count[i], program.offsets[i], zero);
+            let limits = match program.homing {
+                Homing::Stop(stops) if self.state == State::Homing => {
+                    let margin = program.lever[i] * HOMING_MARGIN;
+                    program.limits[i]
+                        .map(|(low, high)| (low.lesser(stops[i]) - margin, high.greater(stops[i]) + margin))
+                }
+                _ => program.limits[i],
+            };
+            let range = range(limits, program.radians_per_count[i], program.offsets[i], zero);
             joint.bounds.has_range = range.is_some();
             (joint.bounds.first, joint.bounds.last) = range.unwrap_or_default();
         }
@@ -212,7 +222,7 @@ where
         let period = self.crests.period;
         let scale = program.radians_per_count[i];
         let size = scale.abs().max(f32::MIN_POSITIVE);
-        let speed = self.rules.limits.speed[i].max(0.0) * period / size;
+        let speed = self.rules.limits.speed[i].max(0.0) * program.lever[i] * period / size;
         let max_current = joint.stage.max_current();
         let gain = (core::f32::consts::TAU * SPEED_FILTER_HZ * period)
             .min((MAX_COUNT_SPEED_SHARE * speed).max(core::f32::consts::TAU * MIN_SPEED_FILTER_HZ * period));
@@ -493,7 +503,7 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
 }
 
 /// Returns the largest integer that is not above `value`.
-fn floor_to_i32(value: f32) -> i32 {
+pub(super) fn floor_to_i32(value: f32) -> i32 {
     let whole = value as i32;
     if (whole as f32) > value { whole - 1 } else { whole }
 }

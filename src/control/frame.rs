@@ -2,6 +2,7 @@
 
 use crate::control::joints::{Counts, Currents, Duties, Torques};
 use crate::drive::stage::MAX_DUTY;
+use crate::model::description::MAX_SENSED;
 use crate::render::step_result::{DeviceState, StepResult};
 use crate::safety::fault::State;
 
@@ -74,14 +75,16 @@ pub struct StepRecord {
     pub at: DeviceState<f32>,
     /// State of the motors.
     pub motors: Motors,
+    /// Angles of the encoders without motors, rad.
+    pub sensed: [f32; MAX_SENSED],
 }
 
 impl StepRecord {
     /// Builds the record of a step that left the control loop in `state`. Copies single fields, to avoid a call of
     /// memcpy.
     #[inline(always)]
-    pub(crate) fn of(now: &Now, state: State) -> Self {
-        Self { step: now.step, state, counts: now.counts, at: now.result.at, motors: now.motors }
+    pub(crate) fn of(now: &Now, state: State, sensed: &[f32; MAX_SENSED]) -> Self {
+        Self { step: now.step, state, counts: now.counts, at: now.result.at, motors: now.motors, sensed: *sensed }
     }
 
     /// Returns the saturation of joint `i`: 0 for none, 1 if a limit changed its torque ([`Motors::limited`]), 2 if its

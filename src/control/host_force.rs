@@ -14,6 +14,7 @@ use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::MAX_SENSED;
 use crate::render::controller::{Push, PushedPlane};
 use crate::render::step_result::StepResult;
 use crate::safety::fault::State;
@@ -25,7 +26,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_LEASE: f32 = 0.2;
 /// Largest force that a request may contain, N. Forces beyond the motors' limits are cut.
 pub const MAX_HELD_FORCE: f32 = 1.0e3;
-/// Largest joint torque that a request may contain, N m.
+/// Largest joint torque that a request may contain, N m, or force of a slide, N.
 pub const MAX_HELD_TORQUE: f32 = 1.0e2;
 /// Largest distance of a contact's point from the origin of the task frame, m.
 pub const MAX_CONTACT_DISTANCE: f32 = 10.0;
@@ -53,7 +54,7 @@ pub struct ForceRequest {
     pub fade: f32,
     /// Force at the tip, N.
     pub force: [f32; 3],
-    /// Joint torques, N m.
+    /// Joint torques, N m; forces of slides, N.
     pub torque: [f32; MAX_JOINTS],
     /// A plane for the board to render.
     pub contact: Option<HostContact>,
@@ -160,10 +161,12 @@ pub struct ForceAnswer {
     pub tip: [f32; 3],
     /// Tip velocity, filtered by the scene's estimator, m/s.
     pub velocity: [f32; 3],
-    /// Joint angles, rad.
+    /// Joint angles, rad; travels of slides, m. `qd` and `torque` have the units that belong to these.
     pub q: [f32; MAX_JOINTS],
     /// Joint velocities, filtered by the scene's estimator, rad/s.
     pub qd: [f32; MAX_JOINTS],
+    /// Angles of the encoders without motors, rad.
+    pub sensed: [f32; MAX_SENSED],
     /// Commanded joint torques after all limits, N m.
     pub torque: [f32; MAX_JOINTS],
     /// Force at the tip that the host's force and contact added, after lease, ramp and limits, N.
@@ -355,6 +358,7 @@ where
             velocity: [0.0; 3],
             q: self.now.result.at.q,
             qd: self.now.result.at.qd,
+            sensed: self.sensed.angles,
             torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,

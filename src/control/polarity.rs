@@ -1,11 +1,17 @@
 //! The polarity check: before a real device is armed, each motor must swing its joint as the device file predicts.
 //!
+//! Angles below are those of a joint that turns; of a slide they are travels at its lever
+//! ([`JointUnits::lever`](crate::model::units::JointUnits::lever)).
+//!
 //! The check relies on measurements only. An alternating torque grows from a twentieth of a newton at the tip until the
 //! joint swings by a degree. No joint is therefore pushed harder than its inertia and friction need, even if the file
 //! is wrong, and a joint with a dead encoder swings about its place instead of running away. If the torque that acted
 //! is roughly the file's, a second swing measures it well (docs/safety.md, "What is measured before a board arms").
+//!
+//! Homing by stops (`stops`) pushes the joints one after the other in the same way.
 
 mod alignment;
+pub(super) mod stops;
 mod swing;
 
 use super::ControlLoop;
@@ -20,6 +26,7 @@ use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
 use alignment::Alignment;
 use core::ops::DerefMut;
+use stops::Push;
 use swing::{Results, Swing, effective_inertia, swing_angle};
 
 /// Longest time that the check waits for a joint to come to rest before its swing, s, because a device almost without
@@ -47,6 +54,9 @@ pub(super) struct PolarityCheck {
     /// Number of the joint under test.
     axis: usize,
     swing: Option<Swing>,
+    push: Option<Push>,
+    /// Errors of the joint angles before homing by stops, rad.
+    corrections: [f32; MAX_JOINTS],
     /// Time spent waiting for the joint to come to rest, s.
     wait_seconds: f32,
     /// Lowest and highest angle of the joint at rest, rad.
@@ -119,7 +129,7 @@ where
     /// Runs the rest of a due step of the check. Returns false if none is due.
     #[inline(always)]
     pub(super) fn check_polarity_at_valley(&mut self) -> bool {
-        let due = self.state == State::CheckingPolarity && self.polarity.due;
+        let due = matches!(self.state, State::CheckingPolarity | State::Homing) && self.polarity.due;
         if due {
             self.advance_check();
         }
@@ -137,7 +147,7 @@ where
         self.polarity.due = false;
         let torque = self.check_step();
         self.polarity.commanded_torques = torque;
-        if self.state == State::CheckingPolarity {
+        if self.state.drives() {
             self.command_test(&torque);
         }
     }
@@ -149,16 +159,22 @@ where
         let q = self.polarity.q;
         let from = *self.polarity.initial.get_or_insert(q);
         let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
-        let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
-        let swung = self.polarity.swing.is_some();
-        let farthest = |j: usize| if swung && j != i { MAX_UNDRIVEN_ANGLE } else { MAX_STRAY_ANGLE };
+        let Some(program) = self.program.as_ref() else { return none };
+        let (counts, lever) = (program.radians_per_count, program.lever);
+        let (swung, pushed) = (self.polarity.swing.is_some(), self.polarity.push.is_some());
+        let farthest = |j: usize| match j == i {
+            true if pushed => f32::MAX,
+            false if swung || pushed => lever[j] * MAX_UNDRIVEN_ANGLE,
+            _ => lever[j] * MAX_STRAY_ANGLE,
+        };
         let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).greater(MAX_STRAY_COUNTS * counts[*j].abs())) < 0;
         if let Some(j) = (0..self.count().min(MAX_JOINTS)).find(beyond) {
             match &self.polarity.swing {
-                Some(Swing { angle, work, .. }) if j == i && *work < 0.0 => {
-                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / angle);
+                Some(Swing { angle, work, .. }) => {
+                    let fault = if j == i && *work < 0.0 { Fault::PolarityWrong } else { Fault::TorqueMismatch };
+                    self.trip(fault, Some(j as u8), moved[j] * lever[i] / (angle * lever[j]));
                 }
-                Some(Swing { angle, .. }) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / angle),
+                None if pushed => self.trip(Fault::StopMissing, Some(j as u8), moved[j]),
                 None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
             return none;
@@ -166,21 +182,32 @@ where
         if self.polarity.alignment.moves() {
             return self.move_joint(moved[i]);
         }
+        if let Some(mut push) = self.polarity.push {
+            let torques = self.push_to_stop(&mut push, &moved, &counts);
+            // The next joint's check has no push yet.
+            self.polarity.push = self.polarity.push.map(|_| push);
+            return torques;
+        }
         // Each part below has a step of its own, because steps at high rates have little time.
         if swung && self.polarity.part == 0 {
-            return self.swing(&moved, &counts);
+            return self.swing(&moved, &counts, &lever);
         }
         match (self.polarity.swing, self.polarity.inertia) {
             (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
-                self.polarity.effective_inertia = effective_inertia(i, inertia, self.count());
-                if !self.begin_aligning_swing() {
+                self.polarity.effective_inertia = effective_inertia(i, inertia, self.count(), &lever);
+                if self.state == State::Homing {
+                    (self.polarity.push, self.polarity.poses_checked) = (Some(Push::default()), 0);
+                } else if !self.begin_aligning_swing() {
                     self.begin_first_swing();
                 }
             }
-            (None, None) if self.is_at_rest() => {
+            (None, None) if self.is_at_rest(self.polarity.step_period) => {
                 if self.polarity.poses_checked < 1 << self.joint_count {
-                    self.check_next_pose();
+                    let corner = self.polarity.poses_checked;
+                    let Some(force) = self.force_per_torque_at(corner) else { return none };
+                    self.polarity.force_per_torque = self.polarity.force_per_torque.max(force);
+                    self.polarity.poses_checked = corner + 1;
                     return none;
                 }
                 self.polarity.initial = Some(q);
@@ -194,29 +221,38 @@ where
         none
     }
 
-    /// Computes the joint's leverage at the next corner of the range of home errors. Leverage is highest at a corner,
-    /// because it grows towards singular poses.
-    fn check_next_pose(&mut self) {
-        let Some(program) = self.program.as_ref() else { return };
-        let corner = self.polarity.poses_checked;
-        let mut unit = Torques::default();
-        unit[self.axis()] = 1.0;
-        let off = |j: usize| if corner >> j & 1 == 0 { MAX_HOME_ERROR } else { -MAX_HOME_ERROR };
+    /// Returns the tip force (N) for 1 N m of joint `i` in the present pose.
+    fn unit_force(&self, i: usize) -> f32 {
+        let unit = Torques::from_fn(|j| f32::from(u8::from(j == i)));
+        sqrt(self.leverage.force_squared(&unit))
+    }
+
+    /// Returns the larger of the joint's tip forces (N) for 1 N m in the present pose and at a corner of the range of
+    /// home errors. Leverage is highest at a corner, because it grows towards singular poses.
+    fn force_per_torque_at(&self, corner: u32) -> Option<f32> {
+        let program = self.program.as_ref()?;
+        let (i, here) = (self.axis(), self.unit_force(self.axis()));
+        let unit = Torques::from_fn(|j| f32::from(u8::from(j == i)));
+        let off = |j: usize| program.lever[j] * if corner >> j & 1 == 0 { MAX_HOME_ERROR } else { -MAX_HOME_ERROR };
         let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.polarity.q[j] + off(j)));
-        let [there, here] = [&leverage, &self.leverage].map(|leverage| sqrt(leverage.force_squared(&unit)));
+        let there = sqrt(leverage.force_squared(&unit));
         // `min` also drops the NaN of an impossible pose.
-        self.polarity.force_per_torque =
-            self.polarity.force_per_torque.max(there.max(here).min(here / MIN_HOME_ERROR_FACTOR));
-        self.polarity.poses_checked = corner + 1;
+        Some(there.max(here).min(here / MIN_HOME_ERROR_FACTOR))
+    }
+
+    /// Returns the largest torque (N m) of the joint under test that stays within a tip force (N) in all nearby poses.
+    fn most_torque(&self, tip_force: f32) -> f32 {
+        let i = self.axis();
+        let torque = tip_force / self.polarity.force_per_torque;
+        torque.lesser(self.joints[i].stage.max_torque()).lesser(self.max_joint_torque[i])
     }
 
     /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
     fn torques_within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
-        let most = (tip_force / self.polarity.force_per_torque).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
-        torque[i] = clamp(wanted, most.lesser(self.max_joint_torque[i]));
+        torque[i] = clamp(wanted, self.most_torque(tip_force));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }
@@ -224,19 +260,22 @@ where
     /// Continues with the next joint. Ends the check with success after the last joint.
     fn continue_with_next_joint(&mut self) {
         let next = self.axis() + 1;
-        if next >= self.count() {
+        if next < self.count() {
+            let corrections = self.polarity.corrections;
+            self.polarity = PolarityCheck { axis: next, corrections, ..PolarityCheck::default() };
+        } else if self.state == State::Homing {
+            self.finish_homing();
+        } else {
             self.turn_motors_off();
             self.state = State::Disarmed;
             self.record_known_polarity();
-        } else {
-            self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
         }
     }
 
-    /// Records that the polarity is known, for the present home if the device is homed.
+    /// Records that the polarity is known, for the present home if the joint angles are known.
     pub(super) fn record_known_polarity(&mut self) {
         self.polarity_known = true;
-        if let Some(program) = self.program.as_ref().filter(|_| self.homed) {
+        if let Some(program) = self.program.as_ref().filter(|_| self.placed) {
             self.checked_zero = program.controller.zero();
         }
     }
@@ -248,19 +287,19 @@ where
         let zero = program.controller.zero();
         self.polarity_known &= program.radians_per_count.iter().enumerate().take(program.joints).all(|(i, radians)| {
             let off = zero[i].wrapping_sub(self.checked_zero[i]) as f32 * radians;
-            off.abs() <= swing_angle(*radians)
+            off.abs() <= swing_angle(*radians, program.lever[i])
         });
     }
 
-    /// Returns true if the joint has come to rest.
-    fn is_at_rest(&mut self) -> bool {
-        let q = self.polarity.q[self.axis()];
+    /// Returns true if the joint has come to rest. Call every `seconds`.
+    fn is_at_rest(&mut self, seconds: f32) -> bool {
+        let (q, lever) = (self.polarity.q[self.axis()], self.lever(self.axis()));
         let polarity = &mut self.polarity;
-        polarity.wait_seconds += polarity.step_period;
-        polarity.rest_seconds += polarity.step_period;
+        polarity.wait_seconds += seconds;
+        polarity.rest_seconds += seconds;
         // Lowest and highest angle both count, so a joint that a hand moves to and fro is not at rest.
         let (low, high) = (polarity.rest_range.0.min(q), polarity.rest_range.1.max(q));
-        (polarity.rest_range, polarity.rest_seconds) = match high - low <= MAX_REST_MOTION {
+        (polarity.rest_range, polarity.rest_seconds) = match high - low <= MAX_REST_MOTION * lever {
             true => ((low, high), polarity.rest_seconds),
             false => ((q, q), 0.0),
         };

@@ -8,22 +8,27 @@ use crate::drive::motor_stage::MotorStage;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
-use crate::model::device::Device;
+use crate::model::description::{Homing, MAX_SENSED};
+use crate::model::device::{Device, Sensed};
 use crate::model::mechanism::AnyMechanism;
 use crate::model::motor::Motor;
 use crate::model::padding::{as_joints, pad, to_joints};
+use crate::model::units::JointUnits;
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
 use crate::render::step_result::StepResult;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
+use heapless::Vec;
 
 /// Properties of a board that the control loop needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hardware {
     /// Number of motor axes.
     pub axes: usize,
+    /// Number of encoder inputs, those of the motor axes included.
+    pub encoders: u8,
     /// True for real motors, which need verified data, limits, homing and a polarity check.
     pub real: bool,
     /// True if the bus voltage is measured.
@@ -162,11 +167,16 @@ pub struct Program<K, S = MotorStage> {
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
+    pub(crate) homing: Homing<f32>,
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
+    /// [`JointUnits::lever`] of each joint.
+    pub(crate) lever: [f32; MAX_JOINTS],
     /// Coulomb friction, N m.
     pub(crate) coulomb: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
     pub(crate) offsets: [f32; MAX_JOINTS],
+    /// Encoders without motors.
+    pub(crate) sensed: Vec<Sensed<f32>, MAX_SENSED>,
     /// True if the device is the previous program's device, so that homing and the polarity check stay valid.
     pub(crate) same_device: bool,
     /// Reason why this program may not be armed, determined when the program is built.
@@ -178,7 +188,7 @@ pub struct Program<K, S = MotorStage> {
 impl<K: Math<f32>, S: Stage> Program<K, S> {
     /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
     ///
-    /// Returns an error for more joints than axes, for a joint without encoder scale, or for an unusable scene.
+    /// Returns an error for more joints than axes, for more encoders than inputs, for a joint without encoder scale, or for an unusable scene.
     pub fn new(
         hardware: &Hardware,
         limits: &Limits,
@@ -189,6 +199,11 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         let joints = device.axes();
         if joints > hardware.axes {
             return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
+        }
+        let (sensed, inputs) = (device.sensed.len() as u8, hardware.encoders);
+        let left = inputs.saturating_sub(joints as u8);
+        if sensed > left {
+            return Err(Refusal::TooManySensed { sensed, inputs, left });
         }
         let controller = AnyController::new(device, scene)?;
         // The current loops run once per carrier period, and the carrier follows the control rate.
@@ -231,9 +246,12 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
+            homing: device.homing,
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
+            lever: core::array::from_fn(|i| JointUnits::of(device.mechanism.is_prismatic(i)).lever),
             coulomb: core::array::from_fn(|i| device.joints[i].coulomb),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
+            sensed: device.sensed.clone(),
             same_device,
             arming_refused,
             rate_hz: scene.rate_hz,

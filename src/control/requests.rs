@@ -1,10 +1,12 @@
 //! Requests to the control loop between two steps, and their replies.
 
+use super::sensed::SensedEncoders;
 use super::{ControlLoop, Rules, watch};
 use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::Homing;
 use crate::render::controller::Gains;
 use crate::render::step_result::StepResult;
 use crate::render::velocity::{Coefficients, Washout};
@@ -14,7 +16,7 @@ use core::ops::DerefMut;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Speed below which a device counts as at rest, rad/s.
+/// Speed below which a device counts as at rest, rad/s; of a slide times its lever.
 pub const REST_SPEED: f32 = 0.2;
 
 /// A change between two control steps. `P` holds a [`Program`]: a box on the PC, a static buffer on the board.
@@ -28,7 +30,7 @@ pub enum Command<P> {
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
-    /// Takes the present pose as the home pose.
+    /// Takes the present pose as the home pose, or homes by index marks that the joints have passed.
     Home,
     /// Turns the motors on.
     Arm,
@@ -54,6 +56,10 @@ pub enum Command<P> {
     Fault(FaultRecord),
     /// Computes the walls' energy if telemetry needs it. The passivity controller computes it in any case.
     ShowEnergy(bool),
+    /// Pushes each joint to its stop while this key is held, and homes the device.
+    FindStops(Press),
+    /// Returns the reply to [`Command::FindStops`] without changing anything.
+    MayFindStops(Press),
 }
 
 /// A press of a dead man's key, made at an unknown time after step `seen`. Motors that depend on the key go off
@@ -85,7 +91,7 @@ pub type Reply<P> = (Result<(), Refusal>, Option<P>);
 pub struct Status {
     /// State of the control loop.
     pub state: State,
-    /// True if the device is homed.
+    /// True if the device is homed. A device with stops is homed once its joints have touched them.
     pub homed: bool,
     /// True if the device's polarity is known.
     pub polarity: bool,
@@ -95,7 +101,7 @@ pub struct Status {
     pub step: u32,
     /// Bus voltage, V; 0 if it is not measured.
     pub bus_voltage: f32,
-    /// Joint angles, rad.
+    /// Joint angles, rad; travels of slides, m.
     pub q: [f32; MAX_JOINTS],
     /// Tip position, m.
     pub tip: [f32; MAX_JOINTS],
@@ -167,6 +173,8 @@ where
                 Ok(())
             }
             Command::CheckPolarity => self.start_polarity_check(),
+            Command::FindStops(press) => self.find_stops(*press),
+            Command::MayFindStops(press) => self.may_find_stops(*press),
             Command::PolarityKnown => {
                 self.record_known_polarity();
                 Ok(())
@@ -214,7 +222,7 @@ where
             return Ok(());
         }
         let Some(old) = &self.program else { return Err(Refusal::NoDevice) };
-        if !program.same_device || old.rate_hz != program.rate_hz || self.state == State::CheckingPolarity {
+        if !program.same_device || old.rate_hz != program.rate_hz || self.state != State::Armed {
             return Err(Refusal::Armed);
         }
         program.controller.set_zero(&old.controller.zero());
@@ -243,9 +251,11 @@ where
         match &self.program {
             Some(old) if same_device => program.controller.set_zero(&old.controller.zero()),
             _ => {
-                self.homed = false;
+                (self.homed, self.placed) = (false, false);
                 self.polarity_known = false;
-                (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
+                self.marks = None;
+                self.forget_marks();
+                self.sensed = SensedEncoders::default();
                 // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.result = StepResult::default();
                 self.now.result.parallel = 1.0;
@@ -282,28 +292,17 @@ where
         Ok(())
     }
 
-    fn home(&mut self) -> Result<(), Refusal> {
-        self.check_motors_off()?;
-        let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
-        let home = program.home.ok_or(Refusal::NoHome)?;
-        if !self.is_slower_than(REST_SPEED) {
-            return Err(Refusal::Moving);
-        }
-        let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
-        program.controller.home(&self.now.counts, &home);
-        self.homed = true;
-        self.keep_polarity_near_its_home();
-        self.first_index = [None; MAX_JOINTS];
-        self.set_bounds();
-        Ok(())
+    /// Returns true if every joint of the device moves at most at `speed`, rad/s; of a slide times its lever.
+    pub(super) fn is_slower_than(&self, speed: f32) -> bool {
+        self.joints.iter().enumerate().take(self.count()).all(|(i, joint)| joint.speed().abs() <= speed * self.lever(i))
     }
 
-    /// Returns true if every joint of the device turns at most at `speed`, rad/s.
-    fn is_slower_than(&self, speed: f32) -> bool {
-        self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
+    /// Returns the lever of joint `i`, see [`JointUnits::lever`](crate::model::units::JointUnits::lever).
+    pub(super) fn lever(&self, i: usize) -> f32 {
+        self.program.as_ref().and_then(|program| program.lever.get(i).copied()).unwrap_or(1.0)
     }
 
-    fn check_motors_off(&self) -> Result<(), Refusal> {
+    pub(super) fn check_motors_off(&self) -> Result<(), Refusal> {
         match self.fault {
             _ if self.state.drives() => Err(Refusal::Armed),
             Some(record) => Err(Refusal::Faulted(record.fault)),
@@ -318,8 +317,9 @@ where
         if let Some(refusal) = program.arming_refused {
             return Err(refusal);
         }
-        if self.hardware.real && !self.homed {
-            return Err(Refusal::NotHomed);
+        if self.hardware.real && !self.placed {
+            let by_index = program.homing == Homing::Index;
+            return Err(self.angles_by_index().err().filter(|_| by_index).unwrap_or(Refusal::NotHomed));
         }
         let bus = self.now.motors.bus_voltage;
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
@@ -342,6 +342,9 @@ where
         let program = self.check_ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
+        }
+        if self.hardware.real && !self.homed {
+            return Err(Refusal::StopsUntouched);
         }
         if program.controller.is_inside_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);

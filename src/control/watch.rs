@@ -62,6 +62,7 @@ where
         let Some(joint) = self.unsettled_joints.checked_sub(1) else { return false };
         self.unsettled_joints = joint;
         let (i, limits) = (usize::from(joint), &self.rules.limits);
+        let lever = self.lever(i);
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
@@ -69,8 +70,8 @@ where
             let steady = if self.hardware.real && steady > motor { CONTINUOUS_CURRENT_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
-            joint.sums.set_limits(largest, limits.speed[i]);
-            self.max_joint_torque[i] = limits.torque[i].min(largest).max(0.0);
+            joint.sums.set_limits(largest, limits.speed[i] * lever);
+            self.max_joint_torque[i] = (limits.torque[i] / lever).min(largest).max(0.0);
             self.unclamped_torque[i] = torque_below(self.max_joint_torque[i]);
         }
         self.set_crest_bounds_of(i);

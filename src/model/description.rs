@@ -4,7 +4,11 @@
 
 use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use crate::model::motor::Motor;
+use crate::model::units::JointUnits;
+use heapless::Vec;
 use nalgebra::Matrix3;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
 
 /// Value of a chain's task in [`Description::geometry`] for the arc length of the tip. 0, 1 and 2 are x, y and z.
 pub const ARC: f64 = 3.0;
@@ -24,9 +28,39 @@ pub struct Description {
     pub joints: [Joint; MAX_JOINTS],
     /// Point mass at the tip, kg.
     pub handle_mass: f64,
-    /// Joint angles that homing assigns, rad.
+    /// Joint angles that homing assigns, rad. Only rough angles unless the device is homed by hand.
     pub home: Option<[f64; MAX_JOINTS]>,
+    /// Reference of homing.
+    pub homing: Homing<f64>,
+    /// Encoders without motors, first to last. [`Encoder::offset`] is the angle at the home pose.
+    pub sensed: [Option<Encoder>; MAX_SENSED],
 }
+
+/// Reference from which homing computes the joint angles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Homing<T> {
+    /// A person holds the device in its home pose.
+    #[default]
+    Hand,
+    /// Index marks of the encoders, each at its encoder's `offset`.
+    Index,
+    /// Mechanical stops at these joint angles (rad), each at or beyond one of its joint's limits.
+    Stop([T; MAX_JOINTS]),
+}
+
+impl<T: Copy> Homing<T> {
+    /// Converts the angles with `convert`.
+    pub fn map<U>(self, convert: impl FnMut(T) -> U) -> Homing<U> {
+        match self {
+            Self::Hand => Homing::Hand,
+            Self::Index => Homing::Index,
+            Self::Stop(angles) => Homing::Stop(angles.map(convert)),
+        }
+    }
+}
+
+/// Maximum number of encoders without motors: those of a gimbal.
+pub const MAX_SENSED: usize = 3;
 
 impl Description {
     /// Returns the device without the inertia of motors behind a transmission.
@@ -39,6 +73,11 @@ impl Description {
             }
         }
         links
+    }
+
+    /// Returns the units of each joint.
+    pub fn units(&self) -> Vec<&'static JointUnits, MAX_JOINTS> {
+        self.joints.iter().take(self.kind.spec().joints).map(Joint::units).collect()
     }
 
     /// Returns true if any joint has a compliant transmission or a structural mode.
@@ -122,7 +161,7 @@ impl Default for JointFrame {
 }
 
 /// One actuated joint with its motor and encoder. The coordinate of a prismatic joint is its travel, and every rad in
-/// the units below is a m, every N m a N, and every kg m² a kg.
+/// the units below is a m, every N m a N, and every kg m² a kg, see [`JointUnits`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Joint {
     /// True if the joint slides along its axis instead of turning about it.
@@ -207,6 +246,11 @@ impl Joint {
             let over = speed / friction.stribeck_speed;
             self.coulomb + (friction.rest - self.coulomb) * libm::exp(-over * over)
         })
+    }
+
+    /// Returns the units of the joint.
+    pub fn units(&self) -> &'static JointUnits {
+        JointUnits::of(self.prismatic)
     }
 
     /// Returns the structural modes of the joint.

@@ -2,12 +2,12 @@
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::description::{Description, DescriptionError};
+use crate::model::description::{Description, DescriptionError, Encoder, Homing, MAX_SENSED};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose, shared_shaping};
 use crate::model::motor::Motor;
 use crate::model::padding::{pad, to_joints};
 use crate::model::solve::solve_symmetric;
-use heapless::String;
+use heapless::{String, Vec};
 use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,25 @@ pub struct Device<T: Real> {
     pub joints: [Joint<T>; MAX_JOINTS],
     /// Joint angles that homing assigns, rad.
     pub home: Option<[T; MAX_JOINTS]>,
+    /// Reference of homing. Earlier backups have none.
+    #[serde(default = "by_hand")]
+    pub homing: Homing<T>,
+    /// Encoders without motors.
+    #[serde(default)]
+    pub sensed: Vec<Sensed<T>, MAX_SENSED>,
+}
+
+fn by_hand<T>() -> Homing<T> {
+    Homing::Hand
+}
+
+/// An encoder without a motor. No force depends on its angle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Sensed<T> {
+    /// Angle per encoder count, rad; negative if the encoder is inverted.
+    pub radians_per_count: T,
+    /// Angle at the home pose, rad.
+    pub offset: T,
 }
 
 /// One joint: encoder, motor, friction, limits.
@@ -66,11 +85,13 @@ impl<T: Real> Device<T> {
         for (index, (joint, described)) in joints.iter_mut().zip(&description.joints).take(spec.joints).enumerate() {
             let mut scale = 0.0;
             if let Some(encoder) = described.encoder {
-                let sign = if encoder.inverted { -1.0 } else { 1.0 };
-                scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
+                scale = radians_per_count(&encoder);
                 joint.offset = r(match description.home {
-                    Some(home) => offset_on_count(encoder.offset, home[index], scale),
-                    None => encoder.offset,
+                    // An index mark is at count 0, and home between two counts.
+                    Some(home) if description.homing != Homing::Index => {
+                        offset_on_count(encoder.offset, home[index], scale)
+                    }
+                    _ => encoder.offset,
                 });
                 if mechanism.repeats(index) {
                     joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
@@ -80,9 +101,7 @@ impl<T: Real> Device<T> {
             joint.viscous = r(described.viscous);
             joint.coulomb = r(described.coulomb);
             joint.limits = described.limits.map(|(low, high)| (r(low), r(high)));
-            // The board's limits of speed and of the polarity check are angles, so a real board does not arm a slide.
-            let may_arm = |verified| verified && !described.prismatic;
-            joint.motor = described.motor.map(|motor| Motor { verified: may_arm(motor.verified), ..motor.cast() });
+            joint.motor = described.motor.map(|motor| motor.cast());
         }
         Ok(Self {
             name: short,
@@ -90,6 +109,10 @@ impl<T: Real> Device<T> {
             weight: description.gravity.iter().take(spec.gravity).any(|g| *g != 0.0),
             joints,
             home: description.home.map(|home| home.map(r)),
+            homing: description.homing.map(r),
+            sensed: (description.sensed.iter().flatten())
+                .map(|encoder| Sensed { radians_per_count: r(radians_per_count(encoder)), offset: r(encoder.offset) })
+                .collect(),
         })
     }
 
@@ -101,6 +124,10 @@ impl<T: Real> Device<T> {
             weight: self.weight,
             joints: self.joints.map(|joint| joint.cast()),
             home: self.home.map(|home| home.map(cast)),
+            homing: self.homing.map(cast),
+            sensed: (self.sensed.iter())
+                .map(|joint| Sensed { radians_per_count: cast(joint.radians_per_count), offset: cast(joint.offset) })
+                .collect(),
         }
     }
 
@@ -123,6 +150,12 @@ impl<T: Real> Joint<T> {
             motor: self.motor.map(|motor| motor.cast()),
         }
     }
+}
+
+/// Returns the angle of one count, rad; negative if the encoder is inverted.
+fn radians_per_count(encoder: &Encoder) -> f64 {
+    let sign = if encoder.inverted { -1.0 } else { 1.0 };
+    sign * core::f64::consts::TAU / encoder.counts_per_turn
 }
 
 /// Maximum number of turns after which an angle repeats, because rounding errors of the board's f32 division stay below

@@ -17,9 +17,11 @@ mod parallelogram;
 mod serial_3r;
 
 use crate::math::{Angle, Math, Real};
-use crate::model::catalogue::{Kind, Spec};
+use crate::model::catalogue::{Kind, MAX_JOINTS, Spec};
 use crate::model::description::{Description, DescriptionError};
 use crate::model::solve::quotient;
+use crate::model::units::JointUnits;
+use heapless::Vec;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Distance of a pose from the nearest singularities, as sines in [0, 1] (0 = singular).
@@ -120,6 +122,10 @@ impl<T: Real, const N: usize> Shaping<T, N> {
     /// rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, subtracted: &SVector<T, N>) -> SVector<T, N> {
+        if N == 1 {
+            // One joint has no admissible direction: M E Wrr⁻¹ Eᵀ is 1, and b cancels without rounding.
+            return self.me * (force / self.w_rr) + (b - subtracted);
+        }
         self.me * ((force - self.e.dot(subtracted)) / self.w_rr) + b
     }
 }
@@ -305,6 +311,11 @@ macro_rules! define {
                 match self {
                     $(Self::$Variant(mechanism) => <$Variant<T> as Mechanism<T, $n>>::is_prismatic(mechanism, joint),)*
                 }
+            }
+
+            /// Returns the units of each joint.
+            pub fn units(&self) -> Vec<&'static JointUnits, MAX_JOINTS> {
+                (0..self.kind().spec().joints).map(|joint| JointUnits::of(self.is_prismatic(joint))).collect()
             }
 
             /// Returns the kind of this mechanism.

@@ -17,16 +17,18 @@ pub enum State {
     CheckingPolarity,
     /// Bridges float until the fault is cleared.
     Fault,
+    /// A small force pushes one joint at a time against its stop, to home the device.
+    Homing,
 }
 
 impl State {
     /// Every state, in the order of its number in telemetry.
-    pub const ALL: [Self; 4] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault];
+    pub const ALL: [Self; 5] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault, Self::Homing];
 
     /// Returns true if the bridges drive the motors.
     pub const fn drives(self) -> bool {
         match self {
-            Self::Armed | Self::CheckingPolarity => true,
+            Self::Armed | Self::CheckingPolarity | Self::Homing => true,
             Self::Disarmed | Self::Fault => false,
         }
     }
@@ -79,7 +81,7 @@ faults! {
     /// A torque near its limit moved no encoder; value: time, s.
     EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
         "check that the encoder is connected and the joint is not blocked, then home again";
-    /// The measured back-EMF shows that the joint turns, but the encoder does not; value: rad/s.
+    /// The measured back-EMF shows that the joint moves, but the encoder does not; value: rad/s, of a slide m/s.
     EncoderLoss = 4, "the motor turns but its encoder does not",
         "check the encoder's cable and coupling, then home again";
     /// Both encoder lines changed at once; value: number of errors.
@@ -88,10 +90,10 @@ faults! {
     /// An index pulse came at another count than before; value: difference, counts.
     IndexMismatch = 6, "the encoder's index came at the wrong count: counts were lost",
         "check the encoder's cable, then home again";
-    /// A joint left its limits; value: rad.
+    /// A joint left its limits; value: rad, of a slide m.
     JointLimit = 7, "a joint left its limits",
         "move the device back by hand, then `haptic faults --clear` and arm again";
-    /// A joint exceeded its speed limit; value: rad/s.
+    /// A joint exceeded its speed limit; value: rad/s, of a slide m/s.
     SpeedLimit = 8, "a joint moved faster than its limit",
         "lower the stiffness or raise the damping; if the encoder is noisy, check its cable";
     /// A motor's current exceeded its limit by far; value: A.
@@ -133,7 +135,7 @@ faults! {
     /// Mean power into the hand exceeded its limit; value: W.
     PowerLimit = 23, "more power went into the hand than its limit allows",
         "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
-    /// Motor and encoder disagree about the positive direction; value: motion, rad.
+    /// Motor and encoder disagree about the positive direction; value: actual over planned torque or swing.
     PolarityWrong = 24, "a motor turned its joint the wrong way",
         "swap the motor's two wires, or set `inverted` of that joint's encoder in the device file";
     /// A joint did not move under more torque than its inertia and friction need according to the device file.
@@ -165,7 +167,7 @@ faults! {
     /// A word of RAM did not keep what was written; value: the word's address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if the fault returns, replace the board";
-    /// A joint kept moving when the polarity check was about to start with it; value: motion, rad.
+    /// A joint kept moving when the polarity check was about to start with it; value: motion, rad, of a slide m.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device come to rest, or hold it still for a moment; take your hands off while a motor pushes; then check again";
     /// A held dead man's key is no longer reported as held; value: time since it was last seen down, s.
@@ -183,8 +185,11 @@ faults! {
     /// A winding's resistance differs from the resistance in the device file; value: Ω.
     ResistanceMismatch = 40, "a motor's resistance is not the one in its device file",
         "measure the winding at the motor's terminals: correct the device file if it is wrong; otherwise the current sensor or a contact is at fault";
+    /// A joint did not stand still at its stop, twice at the same angle; value: error of the angle, or motion, rad.
+    StopMissing = 41, "a joint pushed to its stop met something else, or nothing",
+        "free the joints' way to their stops and keep hands off; check `stop` and `limits` in the device file; hold the device in its home pose and run `haptic home`, then `haptic polarity` and `haptic home --key`";
     /// A three-phase motor has another number of pole pairs than its device file; value: pole pairs found.
-    PolePairs = 41, "a motor's pole pairs are not those of its device file",
+    PolePairs = 42, "a motor's pole pairs are not those of its device file",
         "the value is the number found: correct pole_pairs, ratio and counts_per_turn in the device file; take your hands off, then check again";
 }
 
@@ -193,7 +198,12 @@ impl Fault {
     pub const fn loses_counts(self) -> bool {
         matches!(
             self,
-            Self::EncoderJump | Self::EncoderStall | Self::EncoderLoss | Self::EncoderIllegal | Self::IndexMismatch
+            Self::EncoderJump
+                | Self::EncoderStall
+                | Self::EncoderLoss
+                | Self::EncoderIllegal
+                | Self::IndexMismatch
+                | Self::StopMissing
         )
     }
 }

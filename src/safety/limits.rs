@@ -1,19 +1,21 @@
 //! Limits that the board enforces.
 
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::units::JointUnits;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Limits that the board enforces for every tool. They can be raised only while the motors are off.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Limits {
-    /// Joint torque, N m; the motor's current limit applies as well.
+    /// Joint torque, N m; the motor's current limit applies as well. A slide has the force of this torque at its lever,
+    /// see [`Limits::in_units`].
     pub torque: [f32; MAX_JOINTS],
     /// Motor current, A.
     pub current: [f32; MAX_JOINTS],
     /// Motor current that may flow continuously, A.
     pub continuous_current: [f32; MAX_JOINTS],
-    /// Joint speed, rad/s.
+    /// Joint speed, rad/s. A slide has the speed of its lever's end.
     pub speed: [f32; MAX_JOINTS],
     /// Mean mechanical power into the hand over [`POWER_SECONDS`], W.
     pub power: f32,
@@ -83,19 +85,19 @@ pub enum Limit {
 }
 
 impl Limit {
-    /// Returns the name and the unit.
-    pub const fn words(self) -> (&'static str, &'static str) {
+    /// Returns the name and, for a joint with these units, the unit and the factor from a number of [`Limits`].
+    pub const fn words(self, units: &JointUnits) -> (&'static str, &'static str, f32) {
         match self {
-            Self::Torque => ("torque", " N m"),
-            Self::Current => ("current", " A"),
-            Self::ContinuousCurrent => ("continuous current", " A"),
-            Self::Speed => ("speed", " rad/s"),
-            Self::Power => ("power into the hand", " W"),
-            Self::BusMin => ("lowest supply voltage", " V"),
-            Self::BusMax => ("highest supply voltage", " V"),
-            Self::TipForce => ("force at the tip", " N"),
-            Self::HostSeconds => ("silence of the host", " s"),
-            Self::IndexPeriod => ("index period", " counts"),
+            Self::Torque => ("torque", units.torque, 1.0 / units.lever),
+            Self::Current => ("current", "A", 1.0),
+            Self::ContinuousCurrent => ("continuous current", "A", 1.0),
+            Self::Speed => ("speed", units.speed, units.lever),
+            Self::Power => ("power into the hand", "W", 1.0),
+            Self::BusMin => ("lowest supply voltage", "V", 1.0),
+            Self::BusMax => ("highest supply voltage", "V", 1.0),
+            Self::TipForce => ("force at the tip", "N", 1.0),
+            Self::HostSeconds => ("silence of the host", "s", 1.0),
+            Self::IndexPeriod => ("index period", "counts", 1.0),
         }
     }
 }
@@ -115,23 +117,39 @@ pub struct BadLimit {
     pub most: f32,
 }
 
-impl core::fmt::Display for BadLimit {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let (name, unit) = self.limit.words();
+impl BadLimit {
+    /// Writes the text for a joint with these units.
+    pub fn write(&self, units: &JointUnits, f: &mut impl core::fmt::Write) -> core::fmt::Result {
+        let (name, unit, factor) = self.limit.words(units);
         write!(f, "the {name}")?;
         if let Some(joint) = self.joint {
             write!(f, " of joint {joint}")?;
         }
-        write!(f, " cannot be {}{unit}: this board accepts ", self.value)?;
-        match (self.least, self.most) {
+        write!(f, " cannot be {} {unit}: this board accepts ", factor * self.value)?;
+        match (self.least, factor * self.most) {
             (0.0, f32::INFINITY) => f.write_str("0 or more"),
-            (0.0, most) => write!(f, "more than 0 and at most {most}{unit}"),
-            (least, most) => write!(f, "{least} to {most}{unit}"),
+            (0.0, most) => write!(f, "more than 0 and at most {most} {unit}"),
+            (least, most) => write!(f, "{least} to {most} {unit}"),
         }
     }
 }
 
+impl core::fmt::Display for BadLimit {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        self.write(&JointUnits::REVOLUTE, f)
+    }
+}
+
 impl Limits {
+    /// Returns the limits of joints with these units in those units.
+    pub fn in_units(&self, units: &[&JointUnits]) -> Self {
+        let mut limits = *self;
+        for ((torque, speed), units) in limits.torque.iter_mut().zip(&mut limits.speed).zip(units) {
+            (*torque, *speed) = (*torque / units.lever, *speed * units.lever);
+        }
+        limits
+    }
+
     /// Returns true if every number is finite, positive and not larger than in `most`.
     pub fn is_within(&self, most: &Self) -> bool {
         self.first_wrong_limit(most).is_none()

@@ -71,6 +71,27 @@ pub enum Refusal {
     Unsettled,
     /// The last press of the dead man's key is too old.
     KeyTooOld,
+    /// The rules have no index period for a joint that is homed by its index mark.
+    NoIndexPeriod(u8),
+    /// A joint has not yet passed its index mark slowly.
+    IndexUnseen(u8),
+    /// The index mark of a joint fits several turns of the encoder within the joint's limits.
+    IndexAmbiguous(u8),
+    /// No turn of the encoder puts the index mark and all angles since within a joint's limits.
+    IndexOutside(u8),
+    /// The device is not homed by stops.
+    NoStops,
+    /// The device's joints have not touched their stops since the home pose was declared.
+    StopsUntouched,
+    /// The board has too few encoder inputs for the device's joints and encoders without motors.
+    TooManySensed {
+        /// Encoders of the device without motors.
+        sensed: u8,
+        /// Encoder inputs of the board.
+        inputs: u8,
+        /// Encoder inputs that the device's joints leave.
+        left: u8,
+    },
 }
 
 impl core::fmt::Display for Refusal {
@@ -132,9 +153,36 @@ impl core::fmt::Display for Refusal {
                  shows if the old or the new settings were kept",
             ),
             Self::NotSupported => f.write_str("this board does not support the request"),
+            Self::TooManySensed { sensed, inputs, left } => write!(
+                f,
+                "the board has {inputs} encoder inputs, of which the device's joints leave {left} for its {sensed} \
+                 [[sensed]]: remove those that it cannot read"
+            ),
             Self::KeyTooOld => f.write_str(
                 "the press of the key arrived too late: press it again; if that happens again, the page, the network or \
                  the computer between key and board is too slow",
+            ),
+            Self::NoIndexPeriod(joint) => write!(
+                f,
+                "the index mark of joint {joint} has no period: `haptic rules --index-period` with the counts between two \
+                 pulses"
+            ),
+            Self::IndexUnseen(joint) => {
+                write!(f, "joint {joint} has not passed its index mark: move it slowly through its range while `haptic home` waits")
+            }
+            Self::IndexAmbiguous(joint) => write!(
+                f,
+                "the index mark of joint {joint} may belong to several turns of its encoder: move the joint \
+                 slowly from one end of its range to the other while `haptic home` waits"
+            ),
+            Self::IndexOutside(joint) => write!(
+                f,
+                "the index mark of joint {joint} contradicts its limits: check `offset`, `limits` and the index period, \
+                 then home again"
+            ),
+            Self::NoStops => f.write_str("the device is not homed by stops: run `haptic home` without --key"),
+            Self::StopsUntouched => f.write_str(
+                "the joints have not touched their stops: run `haptic polarity`, then `haptic home --key`",
             ),
         }
     }

@@ -2,7 +2,9 @@
 //! tool/tests/quick/golden_model.rs compares it with the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, JointFrame, Link, Transmission};
+use haptic_bridge::model::description::{
+    Description, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, Transmission,
+};
 use haptic_bridge::model::motor::{Motor, Winding};
 use std::f64::consts::TAU;
 use toml::{Table, Value};
@@ -17,7 +19,7 @@ pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
     assert_known_keys(
         &file,
-        &["name", "mechanism", "gravity", "supply", "geometry", "link", "joint", "handle", "home"],
+        &["name", "mechanism", "gravity", "supply", "geometry", "link", "joint", "handle", "home", "sensed"],
     );
     let (mechanism, joints) = (file["mechanism"].as_str(), tables(&file, "joint").count());
     let is_kind = |kind: &&Kind| Some(kind.spec().name) == mechanism && kind.spec().joints == joints;
@@ -38,6 +40,8 @@ pub fn parse(text: &str) -> Description {
         joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
         home: file.get("home").map(|home| to_array(numbers(&home["q"]))),
+        homing: Homing::Hand,
+        sensed: to_array(tables(&file, "sensed").map(|table| Some(encoder(table)))),
     }
 }
 
@@ -104,7 +108,7 @@ fn transmission(table: &Table, joint: &Table) -> Transmission {
 }
 
 fn encoder(table: &Table) -> Encoder {
-    assert_known_keys(table, &["counts_per_turn", "counts_per_metre", "offset", "inverted"]);
+    assert_known_keys(table, &["counts_per_turn", "counts_per_metre", "offset", "inverted", "name"]);
     let counts_per_metre = number(table, "counts_per_metre").map(|counts| counts * TAU);
     Encoder {
         counts_per_turn: number(table, "counts_per_turn").or(counts_per_metre).expect("counts"),

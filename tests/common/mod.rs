@@ -5,7 +5,7 @@ pub mod device_file;
 
 use haptic_bridge::math::Real;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, JointFrame, Link};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, JointFrame, Link};
 use haptic_bridge::render::scene::{FeedForward, Surface, Wall};
 use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
@@ -143,8 +143,22 @@ pub fn random_device(kind: Kind, draw: &mut TestNumbers<'_>) -> Description {
             joint.prismatic = draw.uniform(0.0, 1.0) < 0.25;
         }
     }
+    if kind == Kind::Chain3 && draw.uniform(0.0, 1.0) < 0.3 {
+        // An arm in a plane that holds the first axis, with its tip in the plane or a little beside it.
+        geometry[2] = if draw.uniform(0.0, 1.0) < 0.7 { 0.0 } else { 1.0e-4 };
+        joints[0].frame.axis[2] = 0.0;
+        for (joint, link) in joints.iter_mut().zip(&mut links).skip(1) {
+            joint.prismatic = false;
+            joint.frame.origin[2] = 0.0;
+            joint.frame.rpy[..2].fill(0.0);
+            joint.frame.axis = [0.0, 0.0, 1.0];
+            link.com_across[1] = 0.0;
+            link.inertia_products[1..].fill(0.0);
+        }
+    }
     let handle_mass = if kind.spec().name == "paddles" { 0.0 } else { draw.log_uniform(1.0e-3, 0.3) };
-    Description { kind, gravity, geometry, links, joints, handle_mass, home: None }
+    let (home, homing, sensed) = (None, Homing::Hand, [None; 3]);
+    Description { kind, gravity, geometry, links, joints, handle_mass, home, homing, sensed }
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {

@@ -153,7 +153,8 @@ impl Board {
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
         let bridge =
             Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true, legs: 2 };
-        let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
+        let hardware =
+            Hardware { axes: MAX_JOINTS, encoders: 3, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let board_limits = Limits::default();
         let mut board = Self {
             machine: RigMachine {
@@ -283,7 +284,7 @@ impl Board {
         self.check_slow_faults(&samples);
         match after {
             AfterReply::Nothing => {}
-            AfterReply::Stream(request, axes) => self.packer.start(&request, axes),
+            AfterReply::Stream(request, shape) => self.packer.start(&request, shape),
             AfterReply::BootLoader | AfterReply::Restart => {
                 assert!(!self.state().drives(), "the board restarts with its motors on");
                 *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.committed));

@@ -11,7 +11,7 @@ use haptic_bridge::drive::motor_stage::MotorStage;
 use haptic_bridge::drive::stage::{Bridge, Stage as _};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::model::description::{Description, Encoder, Homing, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::{Motor, Winding};
@@ -35,6 +35,7 @@ pub const COUNTS_PER_TURN: f64 = 60_000.0;
 pub fn hardware() -> Hardware {
     Hardware {
         axes: 3,
+        encoders: 3,
         real: true,
         bus_sensed: true,
         bridge: Bridge {
@@ -95,8 +96,17 @@ pub fn paddle() -> Description {
         links: [Link::default(); MAX_LINKS],
         joints: [joint(), Joint::default(), Joint::default()],
         handle_mass: 0.0,
+        sensed: [None; 3],
         home: Some([0.0; MAX_JOINTS]),
+        homing: Homing::Hand,
     }
+}
+
+/// Returns the paddle with two encoders without motors, of 1000 counts per turn. The second is inverted, and at 0.5 rad
+/// in the home pose.
+pub fn sensing_paddle() -> Description {
+    let first = Encoder { counts_per_turn: 1_000.0, offset: 0.0, inverted: false };
+    Description { sensed: [Some(first), Some(Encoder { offset: 0.5, inverted: true, ..first }), None], ..paddle() }
 }
 
 /// Returns a five-bar whose elbows stretch at joint angles well within its limits.
@@ -110,7 +120,9 @@ pub fn five_bar() -> Description {
         links: [link; MAX_LINKS],
         joints: [joint, joint, Joint::default()],
         handle_mass: 0.01,
+        sensed: [None; 3],
         home: Some([2.4, 0.7, 0.0]),
+        homing: Homing::Hand,
     }
 }
 
@@ -421,4 +433,9 @@ impl Rig {
     pub fn motors_are_off(&self) -> bool {
         !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.torques() == Torques::default()
     }
+}
+
+/// Returns the paddle with its upper stop at 1.02 rad, beyond its limit of 1 rad.
+pub fn paddle_with_stop() -> Description {
+    Description { homing: Homing::Stop([1.02, 0.0, 0.0]), ..paddle() }
 }

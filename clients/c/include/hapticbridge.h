@@ -14,7 +14,7 @@
 /*
  Version of this header. A library of another version has other structures: compare with hb_version().
  */
-#define HB_VERSION 2
+#define HB_VERSION 3
 
 /*
  Return value of a function: success.
@@ -97,6 +97,11 @@
 #define HB_FAULT 3
 
 /*
+ hb_state.state: `haptic home --key` pushes the joints to their stops one after the other.
+ */
+#define HB_HOMING 4
+
+/*
  A board that this program holds.
  */
 typedef struct hb_board hb_board;
@@ -152,7 +157,7 @@ typedef struct {
    */
   int32_t done;
   /*
-   HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
+   HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY, HB_FAULT or HB_HOMING.
    */
   int32_t state;
   /*
@@ -180,7 +185,7 @@ typedef struct {
    */
   float velocity_m_s[3];
   /*
-   Joint angles.
+   Joint angles. Of a slide its travel, m, and so are its speed, m/s, and its force, N.
    */
   float q_rad[3];
   /*
@@ -199,6 +204,10 @@ typedef struct {
    Code of the latched fault, see hb_fault_text(); 0 without a fault.
    */
   int32_t fault;
+  /*
+   Angles of the encoders without motors.
+   */
+  float sensed_rad[3];
 } hb_state;
 
 #ifdef __cplusplus

@@ -20,7 +20,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Version of this header. A library of another version has other structures: compare with hb_version().
-pub const HB_VERSION: u32 = 2;
+pub const HB_VERSION: u32 = 3;
 
 /// Return value of a function: success.
 pub const HB_OK: i32 = 0;
@@ -56,6 +56,8 @@ pub const HB_ARMED: i32 = 1;
 pub const HB_CHECKING_POLARITY: i32 = 2;
 /// hb_state.state: the motors are off until hb_clear(). hb_state.fault and hb_error() give the reason.
 pub const HB_FAULT: i32 = 3;
+/// hb_state.state: `haptic home --key` pushes the joints to their stops one after the other.
+pub const HB_HOMING: i32 = 4;
 
 /// A board that this program holds.
 pub struct Board(Mutex<Option<Session>>);
@@ -97,7 +99,7 @@ pub struct Request {
 pub struct State {
     /// HB_TAKEN, or the reason why the request does not act.
     pub done: i32,
-    /// HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
+    /// HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY, HB_FAULT or HB_HOMING.
     pub state: i32,
     /// Number of control steps since the board started, which wraps at 2^32.
     pub step: u32,
@@ -111,7 +113,7 @@ pub struct State {
     pub tip_m: [f32; 3],
     /// Velocity of the tip.
     pub velocity_m_s: [f32; 3],
-    /// Joint angles.
+    /// Joint angles. Of a slide its travel, m, and so are its speed, m/s, and its force, N.
     pub q_rad: [f32; 3],
     /// Commanded joint torques, after all limits.
     pub torque_nm: [f32; 3],
@@ -121,10 +123,12 @@ pub struct State {
     pub qd_rad_s: [f32; 3],
     /// Code of the latched fault, see hb_fault_text(); 0 without a fault.
     pub fault: i32,
+    /// Angles of the encoders without motors.
+    pub sensed_rad: [f32; 3],
 }
 
 const _: () = assert!(HB_ARMED == BoardState::Armed as i32 && HB_FAULT == BoardState::Fault as i32);
-const _: () = assert!(HB_DISARMED == BoardState::Disarmed as i32);
+const _: () = assert!(HB_DISARMED == BoardState::Disarmed as i32 && HB_HOMING == BoardState::Homing as i32);
 const _: () = assert!(HB_CHECKING_POLARITY == BoardState::CheckingPolarity as i32);
 
 impl From<&ForceAnswer> for State {
@@ -151,6 +155,7 @@ impl From<&ForceAnswer> for State {
             force_n: reply.force,
             qd_rad_s: reply.qd,
             fault: 0,
+            sensed_rad: reply.sensed,
         }
     }
 }

@@ -3,6 +3,7 @@
 mod header;
 
 use haptic_host::device_file::DeviceFile;
+use haptic_host::haptic_bridge::model::description::Encoder;
 use haptic_host::link::{Board as HostBoard, Session};
 use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, door, ready_board, server};
 use hapticbridge::{
@@ -84,6 +85,8 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
         joint.motor.as_mut().unwrap().verified = true;
         joint.limits = Some((-4.0, 4.0));
     }
+    file.description.sensed[1] = Some(Encoder { counts_per_turn: 4_000.0, offset: 0.0, inverted: true });
+    file.description.sensed[0] = Some(Encoder { counts_per_turn: 4_000.0, offset: 0.5, inverted: false });
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
     let board = Board::of(Session::of(HostBoard::over(shared.wire(), "sim").unwrap()));
@@ -102,6 +105,11 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
             shared.lock().run(0.4);
             assert_eq!((read_state().state, read_state().fault), (HB_ARMED, 0), "{}", error());
         }
+        shared.lock().device_mut().set_sensed_counts([0, 1_000, 0]);
+        shared.lock().run(0.01);
+        let [first, second, third] = read_state().sensed_rad;
+        assert_eq!((first, third), (0.5, 0.0));
+        assert!((second + std::f32::consts::FRAC_PI_2).abs() < 1e-5, "{second}");
         let push = Request { hold_s: 0.1, force_n: [0.5, 0.0, 0.0], ..Request::default() };
         assert_eq!(hb_exchange(board, &push, &mut State::default()), HB_OK);
         shared.lock().run(0.05);

@@ -1,6 +1,6 @@
 //! The only device that CHAI3D finds: a board, in CHAI3D's frame, with a tick of 1 ms.
 
-use haptic_host::frame::Axes;
+use haptic_host::frame::{Axes, rotation};
 use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
 use haptic_host::haptic_bridge::control::host_force::MAX_HELD_FORCE;
 use haptic_host::haptic_bridge::model::device::Device as BoardDevice;
@@ -155,6 +155,12 @@ impl HdDevice {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
+    /// Returns the rotation matrix of the handle at the last tick, by rows; `None` while the board is lost.
+    pub fn rotation(&self) -> Option<[[f64; 3]; 3]> {
+        self.session.as_ref()?;
+        let matrix = self.axes.matrix();
+        Some((matrix * rotation(&self.last.sensed) * matrix.transpose()).transpose().into())
+    }
     /// Sends a force (N), waits for the next tick and reads the state. Sends zero and returns false for an invalid
     /// force. While the board is lost, tries to reopen it every 0.5 s.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
@@ -269,6 +275,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
 mod tests {
     use super::*;
     use haptic_host::device_file::DeviceFile;
+    use haptic_host::haptic_bridge::model::description::Encoder;
     use haptic_host::link::{Board, Wire};
     use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
     use std::io;
@@ -305,6 +312,7 @@ mod tests {
             joint.motor.as_mut().unwrap().verified = true;
             joint.limits = Some((-4.0, 4.0));
         }
+        file.description.sensed = [Some(Encoder { counts_per_turn: 4_000.0, offset: 0.0, inverted: false }); 3];
         let options = BoardOptions { strict: true, ..BoardOptions::default() };
         let board = SharedBoard::new(ready_board(&file, options).unwrap());
         let (shared, plugged) = (board.clone(), Arc::new(AtomicBool::new(true)));
@@ -321,6 +329,24 @@ mod tests {
         session.wait_for_polarity().unwrap().require_pass().unwrap();
         assert!(device.arm());
         (board, device, plugged)
+    }
+
+    /// The five-bar lies on the table: its x axis points to the operator's left.
+    #[test]
+    fn the_handle_turns_by_the_encoders_without_motors() {
+        let (board, mut device, _) = device();
+        for (counts, expected) in [
+            ([0, 0, 0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+            ([1_000, 0, 0], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+            ([0, 0, 1_000], [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        ] {
+            board.lock().device_mut().set_sensed_counts(counts);
+            device.force([0.0; 3]);
+            device.force([0.0; 3]);
+            let found = device.rotation().expect("a board");
+            let near = found.as_flattened().iter().zip(expected.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6);
+            assert!(near, "{counts:?}: {found:?}");
+        }
     }
 
     #[test]

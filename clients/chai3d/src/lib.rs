@@ -131,7 +131,8 @@ pub unsafe extern "C" fn hdPhantomGetLinearVelocity(id: c_int, x: *mut f64, y: *
     with_device(id, |device| device.velocity().is_some_and(|velocity| unsafe { write_numbers([x, y, z], velocity) }))
 }
 
-/// Reads the rotation matrix of the handle, which is always the identity because no device measures orientation.
+/// Reads the rotation matrix of the handle; the identity unless the device has encoders without motors. Fails while the
+/// board is lost.
 ///
 /// # Safety
 /// Each pointer is NULL or valid for writing a number.
@@ -150,10 +151,12 @@ pub unsafe extern "C" fn hdPhantomGetRotation(
     r22: *mut f64,
 ) -> c_int {
     // SAFETY: as the caller promises.
-    with_device(id, |_| unsafe {
-        write_numbers([r00, r01, r02], [1.0, 0.0, 0.0])
-            && write_numbers([r10, r11, r12], [0.0, 1.0, 0.0])
-            && write_numbers([r20, r21, r22], [0.0, 0.0, 1.0])
+    with_device(id, |device| unsafe {
+        device.rotation().is_some_and(|[first, second, third]| {
+            write_numbers([r00, r01, r02], first)
+                && write_numbers([r10, r11, r12], second)
+                && write_numbers([r20, r21, r22], third)
+        })
     })
 }
 

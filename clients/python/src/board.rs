@@ -4,8 +4,10 @@ use crate::arrays::{array, list};
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
+use haptic_host::frame::rotation;
 use haptic_host::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic_host::haptic_bridge::board::telemetry::Fields;
+use haptic_host::haptic_bridge::board::telemetry::{Fields, RowShape};
+use haptic_host::haptic_bridge::model::units::JointUnits;
 use haptic_host::haptic_bridge::render::controller::Gains;
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic_host::haptic_bridge::safety::fault::FaultRecord;
@@ -42,7 +44,7 @@ impl State {
     fn taken(&self) -> bool {
         self.reply.done == ForceDone::Taken
     }
-    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity, Fault or Homing.
     #[getter]
     fn state(&self) -> &'static str {
         STATES[self.reply.state as usize]
@@ -77,7 +79,7 @@ impl State {
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.velocity)
     }
-    /// Joint angles, rad, shape (3,).
+    /// Joint angles, rad, shape (3,). A slide has m, m/s and N here, in `qd` and in `torque`.
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.q)
@@ -86,6 +88,16 @@ impl State {
     #[getter]
     fn qd<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.qd)
+    }
+    /// Angles of the encoders without motors, rad, shape (3,).
+    #[getter]
+    fn sensed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.reply.sensed)
+    }
+    /// Orientation of the handle by these angles, a rotation matrix, shape (3, 3) (docs/files.md).
+    #[getter]
+    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        array(py, rotation(&self.reply.sensed).transpose().as_slice().to_vec(), &[3, 3])
     }
     /// Commanded joint torques, after all limits, N m, shape (3,).
     #[getter]
@@ -116,7 +128,7 @@ fn fault_text(fault: &FaultRecord) -> String {
 #[derive(Clone, Copy)]
 struct Stream {
     fields: Fields,
-    axes: usize,
+    shape: RowShape,
 }
 
 /// The state of an open board.
@@ -223,7 +235,7 @@ impl Board {
         Ok(dict)
     }
 
-    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity, Fault or Homing.
     #[getter]
     fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
         self.with(py, |open| Ok(STATES[open.session.status()?.state as usize]))
@@ -352,10 +364,12 @@ impl Board {
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
         self.with(py, |open| {
-            let axes = open.session.device()?.map_or(0, |device| device.axes());
+            let device = open.session.device()?;
+            let shape = RowShape::of(device.as_ref());
+            let units = device.map(|device| device.mechanism.units()).unwrap_or_default();
             open.session.start_stream(fields, divider)?;
-            open.stream = Some(Stream { fields, axes });
-            Ok(names(fields, axes))
+            open.stream = Some(Stream { fields, shape });
+            Ok(names(fields, &units, shape.sensed))
         })
     }
 
@@ -366,8 +380,11 @@ impl Board {
         let timeout =
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
         let (mut rows, mut left) = (Vec::new(), timeout);
-        let width =
-            self.with(py, |open| Ok(open.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
+        let width = self.with(py, |open| {
+            Ok(open.stream.map_or(0, |Stream { fields, shape }| {
+                names(fields, &[&JointUnits::REVOLUTE; 3][..shape.joints], shape.sensed).len()
+            }))
+        })?;
         loop {
             let wait = left.min(SIGNAL_INTERVAL);
             rows.append(&mut self.with(py, |open| Ok(open.session.rows(wait)?))?);
@@ -421,8 +438,8 @@ impl Board {
     }
 }
 
-fn names(fields: Fields, axes: usize) -> Vec<String> {
-    let own = columns(fields, axes).into_iter().map(|column| column.label);
+fn names(fields: Fields, units: &[&JointUnits], sensed: usize) -> Vec<String> {
+    let own = columns(fields, units, sensed).into_iter().map(|column| column.label);
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 

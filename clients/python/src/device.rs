@@ -125,9 +125,9 @@ impl<T> Columns<'_, '_, T> {
 
 /// A device from a checked device file (docs/files.md).
 ///
-/// The device has N joints and d task dimensions. All numbers are in SI units, angles in rad. Poses are arrays of shape
-/// (..., N), also a single pose (N,). Results have the same leading shape. Many poses are computed on all cores,
-/// without the interpreter's lock.
+/// The device has N joints and d task dimensions. All numbers are in SI units, angles in rad, travels of slides
+/// in m. Poses are arrays of shape (..., N), also a single pose (N,). Results have the same leading shape. Many poses are
+/// computed on all cores, without the interpreter's lock.
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,

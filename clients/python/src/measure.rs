@@ -225,7 +225,7 @@ impl MeasurementRequest {
         told: Option<&Py<PyAny>>,
         is_external: bool,
     ) -> PyResult<MeasurementResult> {
-        let what = board_measurement::description(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
+        let what = board_measurement::description(&self.file, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
         let mut progress = path.map_or(Ok(Progress::new(&what)), |path| Progress::open(path, &what)).map_err(wrong)?;

@@ -94,6 +94,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Sets the counts of the encoders without motors, which otherwise stand still.
+    fn set_sensed_counts(&self, counts: [i32; 3]) {
+        self.shared.lock().device_mut().set_sensed_counts(counts);
+    }
+
     /// Puts a hand on the tip that follows the waypoints [(seconds from now, x, y, ..), ...], in m, smoothly. With
     /// push=True the waypoints are forces in N. An empty list removes the hand.
     #[pyo3(signature = (waypoints, *, push = false))]

@@ -68,6 +68,18 @@ def test_a_contact_holds_the_tip_with_its_stiffness(five_bar):
         np.testing.assert_allclose(state.tip[0] - place[0], 1.0 / 2000.0, rtol=0.05)
 
 
+def test_encoders_without_motors_turn_the_handle(devices):
+    text = (devices / "coupled-five-bar.toml").read_text() + "\n[[sensed]]\ncounts_per_turn = 4000\n"
+    simulation = hb.Simulation(hb.Device.parse(text))
+    simulation.set_sensed_counts([1000, 0, 0])
+    simulation.run(0.001)
+    with simulation.board() as board:
+        state = board.look()
+        np.testing.assert_allclose(state.sensed, [np.pi / 2, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(state.rotation @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-6)
+        assert "sensed0_rad" in board.start_stream()
+
+
 def test_a_polarity_check_has_ended_when_it_returns(five_bar):
     with hb.Simulation(five_bar).board() as board:
         board.home()

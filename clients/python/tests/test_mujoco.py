@@ -8,7 +8,20 @@ import haptic_bridge as hb
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.mujoco
 
-NAMES = ["hapkit-paddle", "serial-3r", "coupled-five-bar", "pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5"]
+ARC_NAMES = ["hapkit-paddle", "upright-hapkit", "two-paddles"]
+NAMES = [
+    *ARC_NAMES,
+    "serial-3r",
+    "coupled-five-bar",
+    "pantograph-mk2",
+    "fictive-five-bar-turret",
+    "phantom-premium-1.5",
+    "fader",
+    "planar-arm",
+    "yoke",
+    "touch",
+    "falcon-like",
+]
 
 
 def place_model(path, q, **options):
@@ -28,11 +41,10 @@ def reduce_to_joints(model, data, joints):
     g[driven, range(joints)] = 1.0
     if rest:
         # The two sites of a constraint move together.
-        first, second = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        names = ("tip", "end") if has_joint(model, "distal1") else ("rear", "end")
-        mujoco.mj_jacSite(model, data, first, None, model.site(names[0]).id)
-        mujoco.mj_jacSite(model, data, second, None, model.site(names[1]).id)
-        apart = first - second
+        jacobians = np.zeros((2 * model.neq, 3, model.nv))
+        for jacobian, site in zip(jacobians, np.stack([model.eq_obj1id, model.eq_obj2id], axis=1).flat, strict=True):
+            mujoco.mj_jacSite(model, data, jacobian, None, site)
+        apart = (jacobians[::2] - jacobians[1::2]).reshape(-1, model.nv)
         g[rest] = -np.linalg.lstsq(apart[:, rest], apart[:, driven], rcond=None)[0]
     moved = np.zeros((model.nv, joints))
     for joint in range(joints):
@@ -40,10 +52,6 @@ def reduce_to_joints(model, data, joints):
         mujoco.mj_mulM(model, data, column, g[:, joint].copy())
         moved[:, joint] = column
     return g, g.T @ moved
-
-
-def has_joint(model, joint):
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) != -1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -58,7 +66,7 @@ def test_both_models_have_the_same_tip_inertia_and_forces(devices, name):
         ours = device.model(q)
         g, mass = reduce_to_joints(model, data, n)
         np.testing.assert_allclose(mass, ours["mass"], rtol=2e-6, atol=1e-6 * np.abs(mass).max())
-        if name != "hapkit-paddle":  # its task coordinate is arc length
+        if name not in ARC_NAMES:
             np.testing.assert_allclose(data.site("tip").xpos[:d], ours["position"], atol=1e-12)
             jacobian = np.zeros((3, model.nv))
             mujoco.mj_jacSite(model, data, jacobian, None, model.site("tip").id)

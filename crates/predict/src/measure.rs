@@ -66,12 +66,14 @@ pub enum MeasureError {
     #[error("the device has left the pose in which this measurement began")]
     Moved,
     /// A joint is not at its first angle. The tip may still be at its first position.
-    #[error("joint {joint} is {by:.3} rad from its angle at the beginning of the measurement: this is another pose")]
+    #[error("joint {joint} is {by:.3} {unit} from its angle at the beginning of the measurement: this is another pose")]
     Away {
         /// Index of the joint.
         joint: usize,
-        /// Distance from the first angle, rad.
+        /// Distance from the first angle, or travel of a slide.
         by: f64,
+        /// Unit of the distance.
+        unit: &'static str,
     },
     /// The tip does not come to rest.
     #[error("the tip does not come to rest when held softly")]

@@ -120,7 +120,8 @@ pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarn
     let outside = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}], so the device cannot reach it"
+            "the pose puts joint {joint} at {angle} {}, outside its limits [{low}, {high}], so the device cannot reach it",
+            description.joints[joint].units().travel
         );
         (!(low..=high).contains(angle)).then_some(FileWarning { key: None, text })
     };

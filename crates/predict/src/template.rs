@@ -358,10 +358,11 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             line("# inertia", number(0.05 * inertia), "kg m², inertia of the swinging part about the joint");
         }
     }
-    if spec.name != "paddles" {
+    if !spec.are_links_optional {
         line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
     }
     line("\n[home]\nq", example.home.into(), "rad, the pose in which you hold the device for `haptic home`");
+    line("# by", "\"hand\"".into(), "or \"index\" or \"stop\": docs/files.md");
     text
 }
 

@@ -6,6 +6,7 @@ use haptic_bridge::drive::brushed::hidden_by_speed;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::units::JointUnits;
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
@@ -27,12 +28,12 @@ impl Tip {
         Some(pose.map(|pose| Self { pose, weight }))
     }
 
-    /// Returns the largest tip force for joint torques within ±`torque` (N m), N.
+    /// Returns the largest tip force for joint torques within ±`torque` (N m, of slides N), N.
     pub fn force(&self, torque: &[f64]) -> f64 {
         self.largest_at_corners(torque, |torque| self.pose.inverse.tr_mul(&torque).rows(0, self.pose.task).norm())
     }
 
-    /// Returns the largest kinetic energy for joint speeds within ±`speed` (rad/s), J.
+    /// Returns the largest kinetic energy for joint speeds within ±`speed` (rad/s, of slides m/s), J.
     pub fn energy(&self, speed: &[f64]) -> f64 {
         self.largest_at_corners(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
     }
@@ -67,6 +68,13 @@ impl Tip {
 /// Default limit of joint speed in the boards' firmware, rad/s.
 pub const BOARD_SPEED: f64 = 100.0;
 
+/// Returns the default limit of each joint's speed in the boards' firmware, rad/s, of a slide m/s.
+pub fn board_speeds(description: &Description) -> Vec<f64> {
+    // Six digits remove the lever's rounding to single precision.
+    let speed = |units: &&JointUnits| (1e6 * BOARD_SPEED * f64::from(units.lever)).round() / 1e6;
+    description.units().iter().map(speed).collect()
+}
+
 /// Returns the largest torque of each motor at rest, N m at the joint; 0 for a joint without a motor.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     let joints = description.kind.spec().joints;
@@ -83,7 +91,6 @@ pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::boards::BoardKind;
-    use haptic_bridge::model::catalogue::MAX_JOINTS;
     use haptic_host::device_file::DeviceFile;
 
     /// Returns the shipped devices with a home pose, with the names of their files.
@@ -105,7 +112,7 @@ mod tests {
         use std::fmt::Write as _;
         let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
         let mut table = String::from(
-            "device,rendered (N),torque limits (N m),any torque within them (N),motors alone (N),\
+            "device,rendered (N),torque limits (N m; slides N),any torque within them (N),motors alone (N),\
              an ampere in every motor (N),energy (J)\n",
         );
         for (name, file, tip) in shipped_devices() {
@@ -116,7 +123,7 @@ mod tests {
                 _ => "no motors in the file".into(),
             };
             let most = tip.force(&limits);
-            let energy = tip.energy(&[BOARD_SPEED; MAX_JOINTS]);
+            let energy = tip.energy(&board_speeds(&file.description));
             let limits = listed.join(" ");
             let ampere = file.description.joints.map(|joint| joint.motor.map_or(0.0, |motor| motor.torque_constant));
             let ampere = tip.force(&ampere);

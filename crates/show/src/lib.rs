@@ -27,4 +27,5 @@ pub mod outline;
 pub mod plot;
 pub mod recorder;
 pub mod replay;
+pub mod track;
 pub mod view;

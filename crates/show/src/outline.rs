@@ -1,6 +1,7 @@
 //! The outline of a wall in a drawing of the xy plane, for every shape.
 
-use haptic_bridge::render::scene::Surface;
+use crate::track::Track;
+use haptic_bridge::render::scene::{Plane, Surface};
 use serde::{Deserialize, Serialize};
 
 /// Sine of the largest angle at which a direction counts as parallel to the drawing plane or to its normal.
@@ -48,12 +49,14 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
-/// Returns the outline of a paddle's wall: a line across the arc of this radius (m) about the origin.
-pub fn outline_on_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
-    let Surface::Plane(plane) = surface else { return None };
-    let (sin, cos) = (plane.point[0] / radius).sin_cos();
-    let side = plane.normal[0].signum();
-    Some(Outline::Line { at: [radius * cos, radius * sin], normal: [-side * sin, side * cos] })
+/// Returns the track that a wall across a single task coordinate lies on, and the wall's line across it. A wall between
+/// several paddles has none.
+pub fn outline_on_track(surface: &Surface<f64>, tracks: &[Track]) -> Option<(usize, Outline)> {
+    let Surface::Plane(Plane { point, normal }) = surface else { return None };
+    let (index, track) = tracks.iter().enumerate().find(|(index, _)| normal[*index].abs() > 1.0 - ALIGNED_SINE)?;
+    let direction = track.direction(point[index]);
+    let normal = direction.map(|entry| normal[index].signum() * entry);
+    Some((index, Outline::Line { at: track.place(point[index]), normal }))
 }
 
 impl Outline {
@@ -68,7 +71,7 @@ impl Outline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptic_bridge::render::scene::{Cylinder, Plane, Sphere};
+    use haptic_bridge::render::scene::{Cylinder, Sphere};
 
     #[test]
     fn oblique_cylinders_and_facing_planes_have_no_outline() {

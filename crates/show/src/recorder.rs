@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 const BLOCK_BYTES: usize = 64 * 1024;
 
 /// Names of the states in a recording, by their numbers.
-pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"];
+pub const STATES: [&str; 5] = ["Disarmed", "Armed", "CheckingPolarity", "Fault", "Homing"];
 
 /// A number or a name in a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]

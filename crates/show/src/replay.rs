@@ -6,6 +6,7 @@
 
 use crate::recorder::{Recording, STATES};
 use haptic_bridge::board::settings::Setting;
+use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
@@ -13,11 +14,14 @@ use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::MAX_SENSED;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_host::backup::SavedSetting;
 use haptic_host::error::{Choice, Failure};
+use haptic_host::link::columns;
 use haptic_host::words::counted;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -31,10 +35,12 @@ pub struct Difference {
     pub time_s: f64,
     /// Joint, from 0.
     pub joint: usize,
-    /// Torque in the recording, N m.
+    /// Torque in the recording.
     pub recorded: f32,
-    /// Torque of the replay, N m.
+    /// Torque of the replay.
     pub replayed: f32,
+    /// Unit of both: N m, or N of a slide.
+    pub unit: &'static str,
     /// Number of single-precision steps between the two: 1 for neighbouring numbers.
     pub steps_of_precision: u64,
 }
@@ -81,7 +87,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn of(recording: &Recording, joints: usize) -> Result<Self, Failure> {
+    fn of(recording: &Recording, units: &[&JointUnits]) -> Result<Self, Failure> {
         let column = |name: String| {
             recording.column(&name).ok_or_else(|| {
                 Failure::wrong(format!("the recording has no column {name}, which a replay needs"))
@@ -89,16 +95,17 @@ impl Columns {
                     .choose(Choice::Fields)
             })
         };
-        let per_joint = |name: &str, unit: &str| {
-            (0..joints).map(|i| column(format!("{name}{i}{unit}"))).collect::<Result<Vec<usize>, Failure>>()
+        let per_joint = |field: Field| {
+            let columns = columns(Fields(field.bit()), units, 0).into_iter();
+            columns.map(|known| column(known.label)).collect::<Result<Vec<usize>, Failure>>()
         };
         Ok(Self {
             step: column("step".into())?,
             time: column("time_s".into())?,
             state: column("state".into())?,
-            counts: per_joint("counts", "")?,
-            torque: per_joint("torque", "_n_m")?,
-            q: per_joint("q", "_rad")?,
+            counts: per_joint(Field::Counts)?,
+            torque: per_joint(Field::Torque)?,
+            q: per_joint(Field::Angle)?,
         })
     }
 }
@@ -114,7 +121,8 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
     // A replay has no host that sends heartbeats.
     let rules = Rules { host_action: HostAction::Ignore, ..read_setting(&settings, "rules")? };
     let joints = device.axes();
-    let columns = Columns::of(recording, joints)?;
+    let units = device.mechanism.units();
+    let columns = Columns::of(recording, &units)?;
     let rows = &recording.rows;
     let first = rows.first().ok_or_else(|| Failure::wrong("the recording has no rows"))?;
     if rows.get(1).is_some_and(|second| second[columns.step] - first[columns.step] > 1.5) {
@@ -132,6 +140,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
 
     let hardware = Hardware {
         axes: MAX_JOINTS,
+        encoders: (MAX_JOINTS + MAX_SENSED) as u8,
         real: false,
         bus_sensed: false,
         bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false, legs: 2 },
@@ -188,6 +197,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
                 joint,
                 recorded,
                 replayed: torque,
+                unit: units[joint].torque,
                 steps_of_precision: precision_steps(recorded, torque),
             };
             replayed.first = replayed.first.or(Some(difference));

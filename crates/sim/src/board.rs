@@ -22,7 +22,8 @@ use haptic_bridge::control::{ARM_SECONDS, ControlLoop, HostAction, Rules, Status
 use haptic_bridge::drive::brushed::UNKNOWN_INDUCTANCE_SHARE;
 use haptic_bridge::drive::motor_stage::MotorDrive;
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{Description, MAX_SENSED};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
@@ -60,6 +61,8 @@ pub struct BoardOptions {
     pub support: Support,
     /// Number of motor axes.
     pub axes: usize,
+    /// Number of encoder inputs.
+    pub encoders: u8,
     /// The faults present at power-on.
     pub faults: BoardFaults,
     /// Size of the send buffer, bytes. A full buffer drops telemetry and counts the dropped rows.
@@ -77,6 +80,7 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
+            encoders: (MAX_JOINTS + MAX_SENSED) as u8,
             faults: BoardFaults::default(),
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
@@ -161,6 +165,7 @@ impl SimulatedBoard {
         let wound = description.joints.iter().filter_map(|joint| joint.motor).any(|motor| motor.inductance > 0.0);
         let hardware = Hardware {
             axes: options.axes,
+            encoders: options.encoders,
             real: options.strict,
             bus_sensed: true,
             bridge: Bridge {
@@ -347,7 +352,7 @@ impl SimulatedBoard {
             (Support::None, _) if !stays => Support::None,
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
-            (_, State::CheckingPolarity) => Support::Carried,
+            (_, State::CheckingPolarity | State::Homing) => Support::Carried,
             (_, State::Disarmed | State::Fault) => self.options.support,
         };
         if required != now {
@@ -389,6 +394,7 @@ impl SimulatedBoard {
     /// Adds a row of this step to the stream. As on the chip, a full send buffer drops the row before it is packed, so
     /// that every numbered batch is sent.
     fn record(&mut self) {
+        self.machine.control_loop.sense(&self.device.inputs());
         let frame = self.machine.control_loop.frame();
         if !self.packer.wants(frame.step) {
             return;
@@ -494,8 +500,8 @@ impl SimulatedBoard {
         }
         match after {
             AfterReply::Nothing => {}
-            AfterReply::Stream(request, axes) => {
-                self.packer.start(&request, axes);
+            AfterReply::Stream(request, shape) => {
+                self.packer.start(&request, shape);
                 self.dropped_rows = 0;
             }
             // There is no boot loader to enter; a real boot loader would end with a restart.

@@ -5,7 +5,8 @@ use super::encoder::EncoderModel;
 use super::hand::Hand;
 use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
-use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{Description, DescriptionError, Homing, MAX_SENSED};
 
 /// Options of the simulation of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +24,8 @@ pub struct Options {
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
     /// (tool/tests/quick/simulated_device.rs).
     pub substep: f64,
-    /// Distance of a joint's mechanical stop beyond its limits, rad; joints without limits have no stop.
+    /// Distance of a joint's mechanical stop beyond its limits, rad, unless the description names the stop; joints
+    /// without limits have no stop.
     pub stop_margin: f64,
     /// True if the linkage has a soft stop before every singularity, because a simulated hand would fold a device
     /// without joint limits.
@@ -95,6 +97,7 @@ pub struct SimulatedDevice {
     plant: Plant,
     motors: Vec<AnyMotor>,
     encoders: Vec<EncoderModel>,
+    sensed: [i32; MAX_SENSED],
     hand: Hand,
     support: Support,
     start: [f64; 3],
@@ -113,10 +116,16 @@ impl SimulatedDevice {
         }
         let joints = description.kind.spec().joints;
         let start = options.start.or(description.home).ok_or(DeviceError::NoStart)?;
-        let stops = description.joints.map(|joint| {
-            joint.limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |(low, high)| {
-                (low - options.stop_margin, high + options.stop_margin)
-            })
+        let stops = core::array::from_fn(|index| {
+            let Some((low, high)) = description.joints[index].limits else {
+                return (f64::NEG_INFINITY, f64::INFINITY);
+            };
+            let (first, last) = (low - options.stop_margin, high + options.stop_margin);
+            match description.homing {
+                Homing::Stop(stops) if stops[index] <= low => (stops[index], last),
+                Homing::Stop(stops) => (first, stops[index]),
+                Homing::Hand | Homing::Index => (first, last),
+            }
         });
         let mut plant = Plant::new(description, start, options.friction, stops)?;
         if options.soft_stop {
@@ -138,6 +147,7 @@ impl SimulatedDevice {
             plant,
             motors,
             encoders,
+            sensed: [0; MAX_SENSED],
             hand: Hand::none(),
             support: Support::None,
             start,
@@ -231,10 +241,23 @@ impl SimulatedDevice {
     pub fn time(&self) -> f64 {
         self.time
     }
-    /// Returns encoder counts since power-on; 0 for axes without a joint.
-    pub fn counts(&self) -> [i32; 3] {
+    /// Sets the counts of the encoders without motors, which otherwise stand still.
+    pub fn set_sensed_counts(&mut self, counts: [i32; MAX_SENSED]) {
+        self.sensed = counts;
+    }
+    /// Returns the counts since power-on at the inputs of a board: of the joints' encoders, then of the encoders without
+    /// motors.
+    pub fn inputs(&self) -> [i32; MAX_JOINTS + MAX_SENSED] {
         let q = self.plant.measured();
-        core::array::from_fn(|i| self.encoders.get(i).map_or(0, |encoder| encoder.counts(q[i])))
+        let joints = self.encoders.iter().zip(q).map(|(encoder, q)| encoder.counts(q));
+        let mut inputs = [0; MAX_JOINTS + MAX_SENSED];
+        inputs.iter_mut().zip(joints.chain(self.sensed)).for_each(|(input, count)| *input = count);
+        inputs
+    }
+    /// Returns the counts at a board's first three inputs.
+    pub fn counts(&self) -> [i32; 3] {
+        let [first, second, third, ..] = self.inputs();
+        [first, second, third]
     }
     /// Returns, for each encoder, true if its index mark is under the sensor.
     pub fn index(&self) -> [bool; 3] {

@@ -109,6 +109,11 @@ impl Hand {
         self.intent = Intent::Lead(goal);
     }
 
+    /// Returns the position that [`Hand::lead`] leads to, m.
+    pub fn goal(&self) -> Option<[f64; 3]> {
+        if let Intent::Lead(goal) = self.intent { Some(goal) } else { None }
+    }
+
     /// Changes the intent of the hand from the time `now` (s) on.
     pub fn set_intent(&mut self, intent: Intent, now: f64) {
         (self.intent, self.began) = (intent, now);

@@ -9,7 +9,7 @@ use haptic_bridge::control::{Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::description::{Description, Encoder, MAX_SENSED};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
@@ -125,6 +125,7 @@ impl PressedBoard {
         };
         let hardware = Hardware {
             axes: MAX_JOINTS,
+            encoders: (MAX_JOINTS + MAX_SENSED) as u8,
             real: false,
             bus_sensed: false,
             timer_hz: super::TIMER_HZ,

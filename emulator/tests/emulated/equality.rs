@@ -52,7 +52,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
             [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
         let traced = [Field::Counts, Field::BusVoltage, Field::Current, Field::State];
         let set = fields.iter().chain(&traced).fold(0, |set, field| set | field.bit());
-        let columns = haptic_host::link::columns(Fields(set), file.spec().joints);
+        let columns = haptic_host::link::columns(Fields(set), &file.description.units(), 0);
         rig.tool.start_stream(Fields(set), 1).expect("a stream starts");
         rig.tool.arm().expect("armed");
         rig.with_simulated(move |device| {
@@ -77,6 +77,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
             Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true, legs: 2 };
         let hardware = Hardware {
             axes: Wiring::of_board(kind).motors.len(),
+            encoders: Wiring::of_board(kind).encoders.len() as u8,
             real: true,
             bus_sensed: true,
             bridge,

@@ -156,3 +156,13 @@ fn the_h_bridge_f405_image_renders_and_stops_at_a_fault() {
 fn the_h_bridge_f407_disc1_image_renders_and_stops_at_a_fault() {
     session(BoardKind::HBridgeF407Disc1, "phantom-premium-1.5", Fault::BreakInput);
 }
+
+#[test]
+fn a_chain_on_the_odrive_v3_renders_and_stops_at_a_fault() {
+    session(BoardKind::OdriveV3, "planar-arm", Fault::GateDriver);
+}
+
+#[test]
+fn a_delta_on_the_h_bridge_f405_renders_and_stops_at_a_fault() {
+    session(BoardKind::HBridgeF405, "falcon-like", Fault::BreakInput);
+}

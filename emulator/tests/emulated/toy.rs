@@ -6,7 +6,7 @@ use haptic_emulator::rig::Rig;
 
 static TOY: Wiring = Wiring {
     name: "toy-board",
-    encoders: &[EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) }],
+    encoders: &[EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 9)) }],
     motors: &[MotorWires {
         timer: 1,
         ends: [HalfBridge::Channel(1), HalfBridge::Complement(1)],

@@ -1,15 +1,20 @@
 //! The pins of every encoder, motor and sensor of every board, tested one at a time.
 
+use std::f64::consts::TAU;
 use std::fs::read_to_string;
 use std::path::Path;
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::plant::Dummy;
-use haptic_emulator::rig::Rig;
+use haptic_emulator::rig::{Rig, device_file};
 use haptic_emulator::run::MILLISECOND;
+use haptic_host::link::BoardError;
 
 use crate::session::WALL;
 
@@ -33,7 +38,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        let axes = Wiring::of_board(kind).encoders.len();
+        let axes = Wiring::of_board(kind).motors.len();
         let mut expected = vec![0.0; axes];
         rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
@@ -49,11 +54,35 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
 }
 
 #[test]
+fn encoders_without_motors_are_read_at_the_inputs_after_the_joints() {
+    let encoder = Encoder { counts_per_turn: 1_000.0, offset: 0.0, inverted: false };
+    for kind in BoardKind::ALL {
+        let mut file = device_file("hapkit-paddle");
+        file.description.sensed = [Some(encoder), Some(Encoder { inverted: true, ..encoder }), None];
+        let mut rig = Rig::with_file(kind, file, |_| ());
+        rig.load("");
+        rig.tool.home().expect("the device is homed");
+        rig.while_stopped(|stopped| {
+            stopped.hardware().plant = Box::new(Dummy { counts: [0, 137, 63], ..Dummy::default() });
+        });
+        rig.run(MILLISECOND);
+        let counts: Vec<f64> = latest_values(&mut rig, Field::Sensed).iter().map(|q| q * 1_000.0 / TAU).collect();
+        let near = counts.len() == 2 && (counts[0] - 137.0).abs() < 1e-3 && (counts[1] + 63.0).abs() < 1e-3;
+        assert!(near, "{}: {counts:?}", kind.name());
+        let three = device_file("hapkit-paddle").description;
+        let three = Description { sensed: [Some(encoder); 3], ..three };
+        let refused = rig.tool.set_device(&Device::new("three", &three).expect("a device"));
+        let refusal = Refusal::TooManySensed { sensed: 3, inputs: 3, left: 2 };
+        assert!(matches!(refused, Err(BoardError::Refused(found)) if found == refusal), "{refused:?}");
+    }
+}
+
+#[test]
 fn each_index_pulse_reaches_its_own_axis() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        for axis in 0..Wiring::of_board(kind).encoders.len() {
+        for axis in 0..Wiring::of_board(kind).motors.len() {
             let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
@@ -106,7 +135,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
         let page = read_to_string(folder.join(format!("wiring-{}.md", wiring.name))).expect("a page");
         let table = page.lines().filter(|line| line.starts_with('|'));
         let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();
-        let encoders = wiring.encoders.iter().flat_map(|wires| [wires.pins[0], wires.pins[1], wires.index]);
+        let encoders = wiring.encoders.iter().flat_map(|wires| wires.pins.into_iter().chain(wires.index));
         let motors = wiring.motors.iter().flat_map(|motor| {
             let sensors = motor.sensors.iter().map(|(channel, _)| Pin::of_channel(*channel));
             motor.gates.into_iter().chain(sensors)

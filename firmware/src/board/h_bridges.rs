@@ -40,10 +40,6 @@ const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_
 /// % of the halved supply, behind the divider. A larger distance means at least 0.9 A through a bridge that is off.
 const MAX_ZERO_DISTANCE: u16 = 136;
 
-/// The first encoder's timer.
-// SAFETY: TIM2 has 32 bits and the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
-const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
-
 /// The wiring of a board with H-bridges. All boards use the encoder pins PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
     const NAME: &'static str;
@@ -138,7 +134,7 @@ impl<W: Wires> Board for HBridges<W> {
             adc::inputs(pins.sensors.map(Flex::new));
             index::latch(W::INDEX_LINES[0] | W::INDEX_LINES[1] | W::INDEX_LINES[2]);
             let [first, second, third] = pins.encoders.map(|channels| channels.map(Flex::new));
-            start_encoder(TIM2, first, 1);
+            start_encoder(encoder::TIM2, first, 1);
             start_encoder(pac::TIM3, second, 2);
             start_encoder(pac::TIM4, third, 2);
         }
@@ -175,7 +171,7 @@ impl<W> BridgeIo<W> {
 impl<W: Wires> Io for BridgeIo<W> {
     #[inline(always)]
     fn update_counts(&mut self, counts: &mut Counts) {
-        encoder::update_count(TIM2, &mut counts[0]);
+        encoder::update_count(encoder::TIM2, &mut counts[0]);
         encoder::update_count(pac::TIM3, &mut counts[1]);
         encoder::update_count(pac::TIM4, &mut counts[2]);
     }

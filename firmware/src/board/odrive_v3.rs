@@ -61,6 +61,7 @@ impl Board for OdriveV3 {
     /// identified only while EN_GATE is high, so arming reads their registers back.
     const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('A', 6), Pin::new('C', 5)], open_pins: &[] };
     const AXES: usize = AXES;
+    const ENCODERS: u8 = AXES as u8 + 1;
     /// Data of the bridges. The current loop has a phase margin of 60 degrees with half a carrier period of delay,
     /// because its bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.
     const BRIDGE: Bridge = Bridge {
@@ -98,6 +99,7 @@ impl Board for OdriveV3 {
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Pins, Option<Drivers>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM8>();
+        rcc::enable_and_reset::<peripherals::TIM2>();
         rcc::enable_and_reset::<peripherals::TIM3>();
         rcc::enable_and_reset::<peripherals::TIM4>();
         rcc::enable_and_reset::<peripherals::ADC1>();
@@ -127,6 +129,7 @@ impl Board for OdriveV3 {
             adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
             encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
             encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+            encoder::start(encoder::TIM2, Flex::new(p.PA15), Flex::new(p.PB3), 1);
             index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
 
             let mut config = spi::Config::default();
@@ -200,6 +203,11 @@ impl Io for Pins {
     fn update_counts(&mut self, counts: &mut Counts) {
         encoder::update_count(pac::TIM3, &mut counts[0]);
         encoder::update_count(pac::TIM4, &mut counts[1]);
+    }
+
+    #[inline(always)]
+    fn update_other_counts(&mut self, counts: &mut Counts) {
+        encoder::update_count(encoder::TIM2, &mut counts[2]);
     }
 
     #[inline(always)]

@@ -167,6 +167,10 @@ impl InterruptState {
         self.step_countdown &= !UNRECORDED;
         let steps = self.control_loop.steps();
         CONTROL.shared.steps.store(steps, Ordering::Relaxed);
+        if self.control_loop.has_sensed() {
+            self.io.update_other_counts(&mut self.samples.counts);
+            compiled::sense(&mut self.control_loop, &self.samples.counts);
+        }
         let due = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
         let pushed =
             due && CONTROL.frames.push(|place| compiled::note(&mut self.control_loop, &self.samples, Some(place)));

@@ -207,7 +207,8 @@ impl Board {
     pub fn rules(&mut self) -> Result<Rules, LinkError> {
         self.call::<p::GetRules>(&(), REPLY)
     }
-    /// Declares the present pose to be the device's home pose.
+    /// Declares the present pose to be the device's home pose. Homes a device with index marks by the marks that its
+    /// joints have passed.
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
     }
@@ -226,6 +227,12 @@ impl Board {
     /// Starts the polarity check, which moves each joint by a small torque.
     pub fn check_polarity(&mut self) -> Result<(), BoardError> {
         let outcome = self.change::<p::CheckPolarity>(&());
+        self.allow_armed(outcome)
+    }
+    /// Starts to push each joint to its stop while a dead man's key is held, see [`Board::arm_held`] for `seen`. The
+    /// device is homed when its state is no longer [`State::Homing`] and [`Status::homed`] is true.
+    pub fn find_stops(&mut self, seen: u32) -> Result<(), BoardError> {
+        let outcome = self.change::<p::FindStops>(&p::Press { holder: self.session, seen });
         self.allow_armed(outcome)
     }
     /// Turns the motors on.

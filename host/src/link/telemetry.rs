@@ -1,7 +1,8 @@
 //! Received telemetry: rows of each control step, columns with name and unit, and counts of losses.
 
 use crate::words::counted;
-use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
+use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Columns, Field, Fields, Kind, RowShape};
+use haptic_bridge::model::units::JointUnits;
 
 /// The telemetry of one control step.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,18 +13,14 @@ pub struct Row {
     pub values: Vec<f64>,
     /// The fields of the stream.
     pub fields: Fields,
-    /// Number of axes of a vector field.
-    pub axes: usize,
+    /// Numbers of joints and of encoders without motors.
+    pub shape: RowShape,
 }
 
 impl Row {
     /// Returns the numbers of one field, one for each column of the field. Empty if the stream lacks the field.
     pub fn get(&self, wanted: Field) -> &[f64] {
-        let columns = |field: Field| match field {
-            Field::State => 2,
-            field if field.is_vector() => self.axes,
-            _ => 1,
-        };
+        let columns = |field: Field| if field == Field::State { 2 } else { field.count(self.shape) };
         let before = Field::ALL.iter().copied().take_while(|field| *field != wanted);
         let start: usize = before.filter(|field| self.fields.has(*field)).map(columns).sum();
         let count = if self.fields.has(wanted) { columns(wanted) } else { 0 };
@@ -36,32 +33,50 @@ impl Row {
 pub struct Column {
     /// The field of the column.
     pub field: Field,
-    /// Index of the axis in a vector field, or of the column in the state.
+    /// Index of the column in its field.
     pub axis: usize,
     /// Name with unit, as in a CSV header: `tip_x_m`, `torque1_n_m`.
     pub label: String,
 }
 
-/// Returns the columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The
-/// state has two columns: the state and the number of touched walls.
-pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
-    let mut columns = Vec::new();
+/// Returns the unit of a field's number for a joint with these units.
+pub fn unit_of(field: Field, units: &JointUnits) -> &'static str {
+    match field {
+        Field::Angle => units.travel,
+        Field::Speed => units.speed,
+        Field::Torque => units.torque,
+        other => other.unit(),
+    }
+}
+
+/// Returns the columns of a stream of `fields` from a device whose joints have these units, and which has a number of
+/// `sensed` encoders without motors, in the order of [`Row::values`]. The state has two columns: the state and the
+/// number of touched walls.
+pub fn columns(fields: Fields, units: &[&JointUnits], sensed: usize) -> Vec<Column> {
+    let (mut columns, shape) = (Vec::new(), RowShape { joints: units.len(), sensed });
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
-        let unit: String = field.unit().to_lowercase().replace([' ', '/'], "_");
-        let suffix = if unit.is_empty() { String::new() } else { format!("_{unit}") };
+        let suffix = |units: &JointUnits| match unit_of(field, units) {
+            "" => String::new(),
+            unit => format!("_{}", unit.to_lowercase().replace([' ', '/'], "_")),
+        };
         if field == Field::State {
             columns.push(Column { field, axis: 0, label: "state".into() });
             columns.push(Column { field, axis: 1, label: "contacts".into() });
-        } else if field.is_vector() {
-            for axis in 0..axes {
+        } else if field.columns() != Columns::One {
+            for axis in 0..field.count(shape) {
+                let units = units.get(axis).copied().unwrap_or(&JointUnits::REVOLUTE);
                 let place = match field {
                     Field::Tip => ["_x", "_y", "_z"].get(axis).copied().unwrap_or_default().to_string(),
                     _ => axis.to_string(),
                 };
-                columns.push(Column { field, axis, label: format!("{}{place}{suffix}", field.name()) });
+                columns.push(Column { field, axis, label: format!("{}{place}{}", field.name(), suffix(units)) });
             }
         } else {
-            columns.push(Column { field, axis: 0, label: format!("{}{suffix}", field.name()) });
+            columns.push(Column {
+                field,
+                axis: 0,
+                label: format!("{}{}", field.name(), suffix(&JointUnits::REVOLUTE)),
+            });
         }
     }
     columns
@@ -72,9 +87,9 @@ const USB_BYTES_PER_SECOND: f64 = 600e3;
 
 /// Returns the number of rows of `fields` per second that the link to a board carries with a margin, at most one per
 /// control step. The link to a simulated board carries a row of every step, because the link is this computer's memory.
-pub fn max_rows_per_second(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
+pub fn max_rows_per_second(board: &str, fields: Fields, shape: RowShape, rate_hz: f64) -> f64 {
     let most =
-        if board.starts_with("simulated") { rate_hz } else { USB_BYTES_PER_SECOND / fields.bytes(axes).max(1) as f64 };
+        if board.starts_with("simulated") { rate_hz } else { USB_BYTES_PER_SECOND / fields.bytes(shape).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
 }
 
@@ -162,7 +177,7 @@ impl Rows {
     /// lost.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
-        let width = fields.bytes(usize::from(batch.axes));
+        let width = fields.bytes(batch.shape());
         let requested = (self.stream, self.fields, self.divider);
         if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields, batch.divider) != requested {
             return;
@@ -190,8 +205,8 @@ impl Rows {
         self.losses.dropped_by_board = u64::from(batch.dropped);
         let mut step = batch.first_step;
         for packed in batch.rows.chunks_exact(width) {
-            let axes = usize::from(batch.axes);
-            rows.push(Row { step, values: unpack(fields, axes, packed), fields, axes });
+            let shape = batch.shape();
+            rows.push(Row { step, values: unpack(fields, shape, packed), fields, shape });
             self.losses.received += 1;
             step = step.wrapping_add(batch.divider);
         }
@@ -199,10 +214,10 @@ impl Rows {
     }
 }
 
-fn unpack(fields: Fields, axes: usize, mut packed: &[u8]) -> Vec<f64> {
+fn unpack(fields: Fields, shape: RowShape, mut packed: &[u8]) -> Vec<f64> {
     let mut values = Vec::new();
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
-        for _ in 0..if field.is_vector() { axes } else { 1 } {
+        for _ in 0..field.count(shape) {
             let Some((bytes, rest)) = packed.split_at_checked(field.kind().bytes()) else { return values };
             packed = rest;
             match (field, bytes) {
@@ -232,7 +247,8 @@ mod tests {
 
     fn batch(number: u32, first_step: u32, rows: usize, dropped: u32) -> Batch {
         let rows = (0..rows).flat_map(|row| (row as f32).to_le_bytes()).collect();
-        Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), rows }
+        let fields = Field::WallForce.bit();
+        Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, sensed: 0, fields, rows }
     }
 
     #[test]
@@ -274,26 +290,32 @@ mod tests {
         let fields = fields("counts,state").unwrap();
         // -123456789 is 0xF8A4_32EB in two's complement; 0x21: armed, two walls.
         let packed = [0xEB, 0x32, 0xA4, 0xF8, 7, 0, 0, 0, 0x21];
-        assert_eq!(unpack(fields, 2, &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
-        let labels: Vec<String> = columns(fields, 2).into_iter().map(|column| column.label).collect();
+        assert_eq!(unpack(fields, 2.into(), &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
+        let labels: Vec<String> =
+            columns(fields, &[&JointUnits::REVOLUTE; 2], 0).into_iter().map(|column| column.label).collect();
         assert_eq!(labels, ["counts0", "counts1", "state", "contacts"]);
     }
 
     #[test]
     fn a_row_returns_the_numbers_of_one_field() {
-        let row =
-            Row { step: 0, values: vec![1.0, 2.0, 3.0, 4.0, 5.0], fields: fields("tip,force,state").unwrap(), axes: 2 };
+        let (values, fields) = (vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0], fields("tip,force,state,sensed").unwrap());
+        let row = Row { step: 0, values, fields, shape: RowShape { joints: 2, sensed: 1 } };
         assert_eq!(row.get(Field::Tip), [1.0, 2.0]);
         assert_eq!(row.get(Field::WallForce), [3.0]);
         assert_eq!(row.get(Field::State), [4.0, 5.0]);
+        assert_eq!(row.get(Field::Sensed), [6.0]);
         assert_eq!(row.get(Field::Torque), [0.0; 0]);
     }
 
     #[test]
     fn columns_carry_their_units() {
-        let labels: Vec<String> =
-            columns(fields("tip,torque,force").unwrap(), 2).into_iter().map(|column| column.label).collect();
-        assert_eq!(labels, ["tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n_m", "force_n"]);
+        let units = [&JointUnits::REVOLUTE, &JointUnits::PRISMATIC];
+        let labels: Vec<String> = columns(fields("q,tip,torque,force,sensed").unwrap(), &units, 1)
+            .into_iter()
+            .map(|column| column.label)
+            .collect();
+        let joints = ["q0_rad", "q1_m", "tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n", "force_n", "sensed0_rad"];
+        assert_eq!(labels, joints);
         assert!(fields("tip,forse").unwrap_err().contains("`forse` is no field"));
     }
 }

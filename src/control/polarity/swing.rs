@@ -150,10 +150,11 @@ pub(super) struct Swing {
 impl Swing {
     /// Returns the largest motion of a joint in this turn, as a share of the motion at which the torque stops growing.
     #[inline(always)]
-    fn largest_motion_share(&self, axis: usize, joints: usize) -> f32 {
+    fn largest_motion_share(&self, axis: usize, joints: usize, lever: &[f32; MAX_JOINTS]) -> f32 {
         let mut most = 0.0;
         for (j, (low, high)) in self.motion_range.iter().enumerate().take(joints) {
-            let share = (high - low) / (if self.last && j == axis { 4.0 } else { 2.0 } * self.angle);
+            let limit = if self.last && j == axis { 4.0 } else { 2.0 } * self.angle * lever[j];
+            let share = (high - low) * lever[axis] / limit;
             most = share.greater(most);
         }
         most
@@ -187,7 +188,7 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let (worth, friction) = (self.polarity.force_per_torque, program.coulomb[i].abs());
         let aligning = self.polarity.alignment.is_under_way(&self.joints[i].stage);
-        let mut angle = swing_angle(program.radians_per_count[i]);
+        let mut angle = swing_angle(program.radians_per_count[i], program.lever[i]);
         if aligning {
             angle = angle.min(MAX_SWING_ELECTRICAL / self.joints[i].stage.electrical_ratio());
         }
@@ -245,7 +246,7 @@ where
         // Friction above the torque that accelerates the inertia would hide the inertia.
         let wanted = of(torque).min(most).max(of(friction_ratio * program.coulomb[i].abs()).min(MAX_SWING_RATE));
         let between_counts = MIN_SWING_COUNTS * program.radians_per_count[i].abs();
-        let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] / angle)
+        let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] * program.lever[i] / angle)
             .min(self.joints[i].stage.speed_of_back_emf(MAX_INITIAL_BACK_EMF).abs() / between_counts)
             .min(core::f32::consts::TAU / (MIN_SWING_STEPS * self.polarity.step_period));
         wanted.min(fastest).max(SWING_RATE_RANGE.0)
@@ -254,7 +255,12 @@ where
     /// Runs a step of a swing: sums up the samples and returns the torques. `moved` is each joint's motion since the
     /// start, rad.
     #[inline(never)]
-    pub(super) fn swing(&mut self, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
+    pub(super) fn swing(
+        &mut self,
+        moved: &[f32; MAX_JOINTS],
+        counts: &[f32; MAX_JOINTS],
+        lever: &[f32; MAX_JOINTS],
+    ) -> Torques {
         let (i, joints) = (self.axis(), self.count());
         let stage = &self.joints[i].stage;
         let polarity = &mut self.polarity;
@@ -264,7 +270,7 @@ where
         if swing.seconds >= turn {
             // A swinging joint stands still where a turn begins.
             swing.seconds -= turn;
-            let swung = swing.largest_motion_share(i, joints);
+            let swung = swing.largest_motion_share(i, joints, lever);
             if swing.turns < TURNS_BEFORE_SUMS && swung > STOPPING_SWING_SHARE && swing.rate < SWING_RATE_RANGE.1 {
                 // The same torque swings joints less far at a higher frequency.
                 (swing.has_full_torque, swing.turns) = (false, 0.0);
@@ -300,7 +306,8 @@ where
         let passes = |phase: f32| was_at <= phase && phase < now_at;
         swing.seconds += pace;
         if swing.breakaway_torque.is_none()
-            && (moved[i] - swing.begin).abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs())
+            && (moved[i] - swing.begin).abs()
+                > (MIN_MOTION_ANGLE * lever[i]).greater(MIN_MOTION_COUNTS * counts[i].abs())
         {
             // From here on the joint needs at most this torque plus the torque that accelerates the file's inertia.
             swing.breakaway_torque = Some(swing.torque);
@@ -311,7 +318,7 @@ where
         for ((low, high), moved) in swing.motion_range.iter_mut().zip(moved) {
             (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
-        let swung = swing.largest_motion_share(i, joints);
+        let swung = swing.largest_motion_share(i, joints, lever);
         swing.work += polarity.commanded_torques[i] * (moved[i] - swing.last_moved);
         swing.last_moved = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
@@ -384,12 +391,15 @@ where
         let (sine, cosine) = K::sin_cos(0.5 * self.polarity.step_period * swing.rate);
         let [along, across] = swing.driven_torque;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
-        let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
-        let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
+        let lever = |row: usize| program.lever[row] / program.lever[i];
+        let share = |(row, torque): (usize, &Phasor)| {
+            (row, lever(row) * dot(*torque, driven) / dot(driven, driven).max(f32::MIN_POSITIVE))
+        };
+        let mut others = acted.iter().enumerate().take(self.count()).filter(|(row, _)| *row != i).map(share);
         // Friction of an undriven joint may take a torque without a motor.
         let size =
             sqrt(dot(driven, driven)) * self.polarity.step_period * swing.rate / (core::f32::consts::PI * TURNS_SUMMED);
-        let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
+        let held = |row: usize| 1.5 * lever(row) * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
         let results = &mut self.polarity.results;
         results.stray_torque = others.find(|(row, aside)| margin_bits(*aside, MAX_CROSS_TORQUE_SHARE + held(*row)) < 0);
         // Uses the part in phase with the acceleration, because friction is in phase with the speed.
@@ -455,20 +465,25 @@ where
     }
 }
 
-/// Returns the swing to either side (rad) for an encoder with this angle per count (rad).
-pub(super) fn swing_angle(radians_per_count: f32) -> f32 {
-    MIN_SWING_ANGLE.max(MIN_SWING_COUNTS * radians_per_count.abs())
+/// Returns the swing to either side (rad) of a joint with this angle per count (rad) and lever.
+pub(super) fn swing_angle(radians_per_count: f32, lever: f32) -> f32 {
+    (MIN_SWING_ANGLE * lever).max(MIN_SWING_COUNTS * radians_per_count.abs())
 }
 
 /// Returns stiffness (N m/rad) and damping (N m s/rad) that pull a joint of this inertia (kg m²) back with the angular
 /// frequency `back` (rad/s), almost without ringing.
-fn spring_and_damper(inertia: f32, back: f32) -> (f32, f32) {
+pub(super) fn spring_and_damper(inertia: f32, back: f32) -> (f32, f32) {
     (inertia * back * back, 1.4 * inertia * back)
 }
 
 /// Returns the ratio of the torque of joint `i` to the largest acceleration of any joint, kg m². A light link
-/// accelerates more than the driven joint.
-pub(super) fn effective_inertia(i: usize, mut inertia: [[f32; MAX_JOINTS]; MAX_JOINTS], joints: usize) -> f32 {
+/// accelerates more than the driven joint. Accelerations are compared at the joints' levers.
+pub(super) fn effective_inertia(
+    i: usize,
+    mut inertia: [[f32; MAX_JOINTS]; MAX_JOINTS],
+    joints: usize,
+    lever: &[f32; MAX_JOINTS],
+) -> f32 {
     for (j, row) in inertia.iter_mut().enumerate().skip(joints) {
         row.iter_mut().skip(j).take(1).for_each(|diagonal| *diagonal = 1.0);
     }
@@ -480,7 +495,8 @@ pub(super) fn effective_inertia(i: usize, mut inertia: [[f32; MAX_JOINTS]; MAX_J
     });
     let row = inertia[i % MAX_JOINTS];
     let determinant: f32 = column.iter().zip(&row).map(|(part, inertia)| part * inertia).sum();
-    let effective = determinant / column.iter().fold(f32::MIN_POSITIVE, |most, part| most.max(part.abs()));
+    let parts = column.iter().zip(lever).map(|(part, other)| part.abs() * lever[i % MAX_JOINTS] / other);
+    let effective = determinant / parts.fold(f32::MIN_POSITIVE, f32::max);
     // `max` also drops NaN, and a determinant that consists of rounding errors.
     effective.max(MIN_EFFECTIVE_INERTIA_SHARE * row[i % MAX_JOINTS])
 }

@@ -8,6 +8,9 @@
 //! of a prismatic one. It has degree two at most, v² = 1 - u², so its constant coefficients describe all links, all
 //! angles and all rotors. Its derivatives give the Coriolis torques. A term of the joint's second-order basis
 //! (1, u, v, u², uv) is a column, and the arrays of joint b (the last but one) are the rows.
+//!
+//! A planar chain is an arm in a plane that the first joint moves, as most haptic arms are. It needs fewer operations,
+//! because the angle of its last link against the first one is a sum, and many terms vanish.
 
 mod lumped;
 
@@ -34,6 +37,8 @@ pub struct Chain<T, const N: usize> {
     task: [[T; 3]; MAX_JOINTS],
     /// Task coordinates of the first joint's origin, m.
     origin: [T; MAX_JOINTS],
+    /// True if joints b and c turn about parallel axes, and neither is coupled with joint a by inertia.
+    is_planar: bool,
     mass: MassSeries<T>,
     /// Gravity in the first joint's frame, m/s².
     gravity: [T; 3],
@@ -83,6 +88,7 @@ struct MassSeries<T> {
     bb: [T; 5],
     ac: [[T; 3]; 3],
     ab: [[T; 5]; 3],
+    /// Of a planar chain, the columns belong to the angle of link c against link a, and 13 entries are not zero.
     aa: [[T; 5]; 5],
 }
 
@@ -104,6 +110,7 @@ struct MassTerms<T: Real, const N: usize> {
     by_b: [T; 3],
     /// Derivative with respect to joint c: aa, ab, ac, bb, bc.
     by_c: [T; 5],
+    is_planar: bool,
 }
 
 /// Quantities that depend on the joint coordinates alone. Vectors are in the frame of the first link.
@@ -111,8 +118,6 @@ struct MassTerms<T: Real, const N: usize> {
 pub struct Pose<T: Real, const N: usize> {
     motions: [Motion<T>; N],
     tip: SVector<T, N>,
-    /// Axis of each joint; unused for the first joint, whose axis is z.
-    axes: [Vector3<T>; N],
     /// Velocity of the tip per unit velocity of each joint.
     levers: [Vector3<T>; N],
     /// det J, which a left-handed order of the task's coordinates makes negative.
@@ -144,6 +149,13 @@ fn about_z<T: Real>(v: &Vector3<T>, c: T, s: T) -> Vector3<T> {
 #[inline(always)]
 fn about_x<T: Real>(v: &Vector3<T>, c: T, s: T) -> Vector3<T> {
     Vector3::new(v[0], c * v[1] - s * v[2], s * v[1] + c * v[2])
+}
+
+/// Returns the cosine and sine of the sum of the last two joints' angles.
+#[inline(always)]
+fn sum_of_angles<T: Real, const N: usize>(motions: &[Motion<T>; N]) -> (T, T) {
+    let (b, c) = (&motions[N - 2], &motions[N - 1]);
+    (b.cosine * c.cosine - b.sine * c.sine, b.sine * c.cosine + b.cosine * c.sine)
 }
 
 impl<T: Real> Motion<T> {
@@ -201,6 +213,12 @@ impl<T: Real> ChainJoint<T> {
         self.before(&self.lever(point))
     }
 
+    /// Returns [`ChainJoint::lever_before`] of a revolute joint.
+    #[inline(always)]
+    fn turning_lever_before(&self, point: &Vector3<T>) -> Vector3<T> {
+        Vector3::new(-point[1], self.cosine * point[0], self.sine * point[0])
+    }
+
     /// Returns a vector in the frame of the link before in the frame of the joint's link.
     #[inline(always)]
     fn turned_back(&self, v: &Vector3<T>, motion: &Motion<T>) -> Vector3<T> {
@@ -236,6 +254,12 @@ impl<T: Real> Basis<T> {
         let (dv, v) = (joint.turns * motion.cosine, joint.turns * motion.sine);
         let (u, du) = (dv + motion.lift, joint.slides - v);
         Self { u, v, uu: u * u, uv: u * v, slope: [du, dv, (u + u) * du, du * v + u * dv] }
+    }
+
+    #[inline(always)]
+    fn of_angle(u: T, v: T) -> Self {
+        let (uu, uv) = (u * u, u * v);
+        Self { u, v, uu, uv, slope: [-v, u, -uv - uv, uu - v * v] }
     }
 
     #[inline(always)]
@@ -280,6 +304,7 @@ impl<T: Real, const N: usize> Chain<T, N> {
             arc: self.arc.map(cast),
             task: self.task.map(|row| row.map(cast)),
             origin: self.origin.map(cast),
+            is_planar: self.is_planar,
             mass: MassSeries {
                 cc: cast(self.mass.cc),
                 bc: self.mass.bc.map(cast),
@@ -329,48 +354,57 @@ impl<T: Real, const N: usize> Chain<T, N> {
 
     /// Returns the basis of the joint `back` joints before the last one.
     #[inline(always)]
-    fn basis(&self, pose: &Pose<T, N>, back: usize) -> Basis<T> {
+    fn basis(&self, motions: &[Motion<T>; N], back: usize) -> Basis<T> {
         let i = N - 1 - back;
-        Basis::new(&self.joints[i], &pose.motions[i])
+        Basis::new(&self.joints[i], &motions[i])
     }
 
     /// Returns M and the Coriolis and centrifugal torques.
     #[inline(always)]
     fn mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
-        if N == 3 { self.spatial_mass_and_coriolis(pose, qd) } else { self.inline_mass_and_coriolis(pose, qd) }
+        if N == 3 && !self.is_planar {
+            // Passes copies, so that the planar case can keep the values in registers.
+            return self.spatial_mass_and_coriolis(&{ pose.motions }, &{ *qd });
+        }
+        let terms = self.mass_terms(&pose.motions);
+        (terms.mass, Self::coriolis_of(&terms, qd))
     }
 
     /// Computes [`Chain::mass_and_coriolis`] in a function of its own, because the long series would otherwise push the
     /// rest of the step out of the registers.
     #[inline(never)]
-    fn spatial_mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
-        self.inline_mass_and_coriolis(pose, qd)
-    }
-
-    #[inline(always)]
-    fn inline_mass_and_coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> (SMatrix<T, N, N>, SVector<T, N>) {
-        let terms = self.mass_terms(pose);
+    fn spatial_mass_and_coriolis(
+        &self,
+        motions: &[Motion<T>; N],
+        qd: &SVector<T, N>,
+    ) -> (SMatrix<T, N, N>, SVector<T, N>) {
+        let terms = self.general_mass_terms(motions);
         (terms.mass, Self::coriolis_of(&terms, qd))
     }
 
     /// Returns the mass matrix and its derivatives. A caller that needs only one of them pays only for that one.
     #[inline(always)]
-    fn mass_terms(&self, pose: &Pose<T, N>) -> MassTerms<T, N> {
+    fn mass_terms(&self, motions: &[Motion<T>; N]) -> MassTerms<T, N> {
+        if N == 3 && self.is_planar { self.planar_mass_terms(motions) } else { self.general_mass_terms(motions) }
+    }
+
+    #[inline(always)]
+    fn general_mass_terms(&self, motions: &[Motion<T>; N]) -> MassTerms<T, N> {
         let (series, zero) = (&self.mass, T::zero());
-        let mut terms = MassTerms { mass: SMatrix::zeros(), by_b: [zero; 3], by_c: [zero; 5] };
+        let mut terms = MassTerms { mass: SMatrix::zeros(), by_b: [zero; 3], by_c: [zero; 5], is_planar: false };
         let mut put = |i: usize, j: usize, entry: T| {
             terms.mass[(N - i, N - j)] = entry;
             terms.mass[(N - j, N - i)] = entry;
         };
         put(1, 1, series.cc);
         if N >= 2 {
-            let c = self.basis(pose, 0);
+            let c = self.basis(motions, 0);
             put(2, 1, c.first(&series.bc));
             put(2, 2, c.second(&series.bb));
             terms.by_c[3] = c.second_slope(&series.bb);
             terms.by_c[4] = c.first_slope(&series.bc);
             if N >= 3 {
-                let b = self.basis(pose, 1);
+                let b = self.basis(motions, 1);
                 // Written out, because the compiler does not unroll these loops.
                 let [a0, a1, a2, a3, a4] = &series.aa;
                 let aa = [c.second(a0), c.second(a1), c.second(a2), c.second(a3), c.second(a4)];
@@ -397,6 +431,34 @@ impl<T: Real, const N: usize> Chain<T, N> {
         terms
     }
 
+    /// Returns [`Chain::mass_terms`] of a planar chain.
+    #[inline(always)]
+    fn planar_mass_terms(&self, motions: &[Motion<T>; N]) -> MassTerms<T, N> {
+        let (series, zero) = (&self.mass, T::zero());
+        let (b, c, (cosine, sine)) = (&motions[N - 2], &motions[N - 1], sum_of_angles(motions));
+        // The angles of links b and c against link a.
+        let (angle_b, angle_c) = (Basis::of_angle(b.cosine, b.sine), Basis::of_angle(cosine, sine));
+        let [a0, [u0, u1, u2, ..], [v0, v1, v2, ..], [a3, ..], [a4, ..]] = &series.aa;
+        let (u, v) = ([*u0, *u1, *u2], [*v0, *v1, *v2]);
+        let aa = [angle_c.second(a0), angle_c.first(&u), angle_c.first(&v), *a3, *a4];
+        let by_angle_c =
+            angle_c.second_slope(a0) + b.cosine * angle_c.first_slope(&u) + b.sine * angle_c.first_slope(&v);
+        let [bc0, bc1, bc2] = series.bc;
+        let (coupling, slope) = (bc1 * c.cosine + bc2 * c.sine, bc2 * c.cosine - bc1 * c.sine);
+        let mut mass = SMatrix::zeros();
+        mass[(0, 0)] = angle_b.second(&aa);
+        mass[(N - 2, N - 2)] = series.bb[0] + coupling + coupling;
+        mass[(N - 2, N - 1)] = bc0 + coupling;
+        mass[(N - 1, N - 2)] = bc0 + coupling;
+        mass[(N - 1, N - 1)] = series.cc;
+        MassTerms {
+            mass,
+            by_b: [angle_b.second_slope(&aa) + by_angle_c, zero, zero],
+            by_c: [by_angle_c, zero, zero, slope + slope, slope],
+            is_planar: true,
+        }
+    }
+
     /// Returns the Coriolis and centrifugal torques: Ṁ q̇ less half the gradient of q̇ᵀ M q̇.
     #[inline(always)]
     fn coriolis_of(terms: &MassTerms<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
@@ -408,6 +470,13 @@ impl<T: Real, const N: usize> Chain<T, N> {
             let moved = bb * b + bc * c;
             torque[0] = moved * c;
             torque[N - 1] = bc * b * c - half * b * (moved + bc * c);
+        } else if N == 3 && terms.is_planar {
+            let ([baa, ..], [caa, .., bc]) = (terms.by_b, terms.by_c);
+            let (a, b, c) = (qd[0], qd[N - 2], qd[N - 1]);
+            let half_square = half * a * a;
+            torque[0] = (baa * b + caa * c) * a;
+            torque[N - 2] = bc * c * (b + b + c) - half_square * baa;
+            torque[N - 1] = -bc * b * b - half_square * caa;
         } else if N == 3 {
             let ([baa, bab, bac], [caa, cab, cac, cbb, cbc]) = (terms.by_b, terms.by_c);
             let (a, b, c) = (qd[0], qd[N - 2], qd[N - 1]);
@@ -420,30 +489,51 @@ impl<T: Real, const N: usize> Chain<T, N> {
         torque
     }
 
+    /// Returns the axis of a joint in the frame of the first link.
+    #[inline(always)]
+    fn axis(&self, pose: &Pose<T, N>, joint: usize) -> Vector3<T> {
+        match joint {
+            0 => Vector3::z(),
+            2 => self.joints[1].before(&pose.motions[1].turned(&self.joints[2].axis_before())),
+            _ => self.joints[1].axis_before(),
+        }
+    }
+
     /// Returns the tip's acceleration while no joint accelerates, in the frame of the first link.
     #[inline(always)]
     fn tip_acceleration(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> Vector3<T> {
         // Σᵢ zᵢ × (q̇ᵢ Jᵢ + 2 Σ_{j>i} q̇ⱼ Jⱼ) q̇ᵢ over the revolute joints i.
-        let (joints, z) = (&self.joints, Vector3::z());
+        let joints = &self.joints;
         let first = pose.levers[0] * qd[0];
         if N == 1 {
-            return joints[0].turning(&z, &first, qd[0]);
+            return joints[0].turning(&self.axis(pose, 0), &first, qd[0]);
         }
         let last = pose.levers[N - 1] * qd[N - 1];
-        let mut acceleration = joints[N - 1].turning(&pose.axes[N - 1], &last, qd[N - 1]);
         let mut later = last + last;
-        if N == 3 {
+        let acceleration = if N == 3 {
             let middle = pose.levers[1] * qd[1];
-            acceleration += joints[1].turning(&joints[1].axis_before(), &(middle + later), qd[1]);
+            let (axis, seen) = (self.axis(pose, 1), middle + later);
             later += middle + middle;
-        }
-        acceleration + joints[0].turning(&z, &(first + later), qd[0])
+            if self.is_planar {
+                axis.cross(&(last * qd[N - 1] + seen * qd[1]))
+            } else {
+                joints[1].turning(&axis, &seen, qd[1]) + joints[2].turning(&self.axis(pose, 2), &last, qd[N - 1])
+            }
+        } else {
+            joints[N - 1].turning(&self.axis(pose, N - 1), &last, qd[N - 1])
+        };
+        acceleration + joints[0].turning(&self.axis(pose, 0), &(first + later), qd[0])
     }
 
     /// Returns the joint velocities for a velocity of the tip, which in space is given in the frame of the first link.
     #[inline(always)]
     fn joint_velocities(&self, pose: &Pose<T, N>, spatial: &Vector3<T>) -> SVector<T, N> {
-        SVector::from_fn(|i, _| pose.adjugate[i].dot(spatial) * pose.inverse_determinant)
+        // Written out, because a call would put the whole pose into memory.
+        let mut rates = SVector::zeros();
+        rates[0] = pose.adjugate[0].dot(spatial) * pose.inverse_determinant;
+        rates[N - 2] = pose.adjugate[N - 2].dot(spatial) * pose.inverse_determinant;
+        rates[N - 1] = pose.adjugate[N - 1].dot(spatial) * pose.inverse_determinant;
+        rates
     }
 
     /// Returns the joint accelerations that cancel the tip's acceleration: J⁻¹ J̇ q̇.
@@ -490,25 +580,34 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         let joints = &self.joints;
         // The loops over joints are written out, because the compiler does not unroll them.
         let mut motions = [joints[0].motion::<K>(angles[0]); N];
-        let (mut axes, mut levers) = ([Vector3::z(); N], [Vector3::z(); N]);
+        let mut levers = [Vector3::z(); N];
         // The tip in the frame of each link, from the last to the first.
         let mut tip = Vector3::from(self.tip);
         if N >= 2 {
-            let joint = &joints[N - 1];
-            motions[N - 1] = joint.motion::<K>(angles[N - 1]);
-            let point = motions[N - 1].moved(&tip);
-            levers[N - 1] = joint.lever_before(&point);
-            axes[N - 1] = joint.axis_before();
-            tip = joint.before(&point) + Vector3::from(joint.origin);
+            motions[N - 1] = joints[N - 1].motion::<K>(angles[N - 1]);
         }
         if N >= 3 {
-            let joint = &joints[1];
-            motions[1] = joint.motion::<K>(angles[1]);
-            let point = motions[1].moved(&tip);
-            levers[1] = joint.lever_before(&point);
-            levers[N - 1] = joint.before(&motions[1].turned(&levers[N - 1]));
-            axes[N - 1] = joint.before(&motions[1].turned(&axes[N - 1]));
+            motions[1] = joints[1].motion::<K>(angles[1]);
+        }
+        if N >= 3 && self.is_planar {
+            let (joint, (cosine, sine)) = (&joints[1], sum_of_angles(&motions));
+            let last = about_z(&tip, cosine, sine);
+            let point = motions[1].turned(&Vector3::from(joints[N - 1].origin)) + last;
+            levers[1] = joint.turning_lever_before(&point);
+            levers[N - 1] = joint.turning_lever_before(&last);
             tip = joint.before(&point) + Vector3::from(joint.origin);
+        } else if N >= 2 {
+            let joint = &joints[N - 1];
+            let point = motions[N - 1].moved(&tip);
+            levers[N - 1] = joint.lever_before(&point);
+            tip = joint.before(&point) + Vector3::from(joint.origin);
+            if N >= 3 {
+                let joint = &joints[1];
+                let point = motions[1].moved(&tip);
+                levers[1] = joint.lever_before(&point);
+                levers[N - 1] = joint.before(&motions[1].turned(&levers[N - 1]));
+                tip = joint.before(&point) + Vector3::from(joint.origin);
+            }
         }
         levers[0] = joints[0].lever(&tip);
         tip[2] += motions[0].lift;
@@ -534,7 +633,6 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         Pose {
             motions,
             tip: place,
-            axes,
             levers,
             determinant,
             inverse_determinant: reciprocal(determinant, self.determinant_floor),
@@ -560,13 +658,12 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
     fn jacobian_rate(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SMatrix<T, N, N> {
         // Column j of J̇ is the velocity of lever j: Σᵢ q̇ᵢ (zᵢ × Jⱼ for i <= j, zⱼ × Jᵢ for i > j).
         let mut rate = SMatrix::<T, N, N>::zeros();
-        let axis = |i: usize| if i == 1 && N == 3 { self.joints[1].axis_before() } else { pose.axes[i] };
         for j in 0..if self.arc.is_some() { 0 } else { N } {
             let mut column = Vector3::zeros();
             for i in 0..N {
                 let first = i.min(j);
                 if !self.joints[first].prismatic {
-                    column += axis(first).cross(&pose.levers[i.max(j)]) * qd[i];
+                    column += self.axis(pose, first).cross(&pose.levers[i.max(j)]) * qd[i];
                 }
             }
             rate.set_column(j, &self.in_task(&pose.motions[0], &column));
@@ -576,12 +673,12 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
 
     #[inline(always)]
     fn mass(&self, pose: &Pose<T, N>) -> SMatrix<T, N, N> {
-        self.mass_terms(pose).mass
+        self.mass_terms(&pose.motions).mass
     }
 
     #[inline(always)]
     fn coriolis(&self, pose: &Pose<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
-        Self::coriolis_of(&self.mass_terms(pose), qd)
+        Self::coriolis_of(&self.mass_terms(&pose.motions), qd)
     }
 
     #[inline(always)]
@@ -594,6 +691,17 @@ impl<T: Real, const N: usize> Mechanism<T, N> for Chain<T, N> {
         let last_moment = Vector3::from(joints[N - 1].moment);
         if N == 1 {
             torque[0] = joints[0].weight(&last_moment, &first);
+            return torque;
+        }
+        if N == 3 && self.is_planar {
+            // Both moments in the frame of joint b.
+            let (joint, (cosine, sine)) = (&joints[1], sum_of_angles(&pose.motions));
+            let last = about_z(&last_moment, cosine, sine);
+            let moment = pose.motions[1].turned(&Vector3::from(joint.moment)) + last;
+            let second = about_x(&first, joint.cosine, -joint.sine);
+            torque[N - 1] = last[1] * second[0] - last[0] * second[1];
+            torque[N - 2] = moment[1] * second[0] - moment[0] * second[1];
+            torque[0] = joints[0].weight(&(joint.before(&moment) + Vector3::from(joints[0].moment)), &first);
             return torque;
         }
         let second = joints[1].turned_back(&first, &pose.motions[1]);

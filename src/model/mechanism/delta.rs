@@ -93,6 +93,12 @@ fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
+/// Returns a value of each leg. Inlined, because a call of nalgebra's function would put the whole pose into memory.
+#[inline(always)]
+fn each_leg<T: Real>(value: impl Fn(usize) -> T) -> Vector3<T> {
+    Vector3::new(value(0), value(1), value(2))
+}
+
 /// Returns uⱼ x uₖ: the columns of S⁻¹ det S.
 #[inline(always)]
 fn across<T: Real>(rod: &[Vector3<T>; 3]) -> [Vector3<T>; 3] {
@@ -200,17 +206,21 @@ impl<T: Real> Delta<T> {
         tip: &Vector3<T>,
         a: Option<&Vector3<T>>,
     ) -> Vector3<T> {
-        Vector3::from_fn(|i, _| {
-            let along = self.constrained(pose, i, qd[i], tip);
-            pose.inverse_k[i] * a.map_or(along, |a| along + pose.rod[i].dot(a))
-        })
+        // Written out, because the compiler does not inline such a long closure.
+        let along = [
+            self.constrained(pose, 0, qd[0], tip),
+            self.constrained(pose, 1, qd[1], tip),
+            self.constrained(pose, 2, qd[2], tip),
+        ];
+        each_leg(|i| pose.inverse_k[i] * a.map_or(along[i], |a| along[i] + pose.rod[i].dot(a)))
     }
 
-    /// Returns uᵢ·aᵢ q̇ᵢ² + |u̇ᵢ|², m²/s².
+    /// Returns uᵢ·aᵢ q̇ᵢ² + |u̇ᵢ|², m²/s², with |u̇ᵢ|² = |ṗ|² - 2 lᵢ·ṗ q̇ᵢ + U² q̇ᵢ².
     #[inline(always)]
     fn constrained(&self, pose: &Pose<T>, i: usize, qd: T, tip: &Vector3<T>) -> T {
-        let rate = tip - self.leg_in_base(i, &(rotated_left(&pose.arm[i]) * qd));
-        pose.arm[i].dot(&self.in_leg(i, &pose.rod[i])) * (qd * qd) + rate.dot(&rate)
+        let along_arm = pose.arm[i].dot(&self.in_leg(i, &pose.rod[i])) + self.upper * self.upper;
+        let along_lever = self.along_lever(pose, i, tip);
+        tip.dot(tip) + (along_arm * qd - along_lever - along_lever) * qd
     }
 
     /// Returns the rods' force on the tip (N) for joint accelerations `qdd`, at velocities `qd` or at rest.
@@ -228,9 +238,9 @@ impl<T: Real> Delta<T> {
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector3<T>, qdd: &Vector3<T>, a: Option<&Vector3<T>>) -> Vector3<T> {
         let rods = self.rod_force(pose, Some(qd), qdd);
-        let at_joints = Vector3::from_fn(|i, _| self.arm_inertia[i] * qdd[i]);
+        let at_joints = each_leg(|i| self.arm_inertia[i] * qdd[i]);
         let Some(a) = a else { return at_joints + self.transpose(pose, &rods) };
-        let with_tip = Vector3::from_fn(|i, _| self.rod_coupling * self.along_lever(pose, i, a));
+        let with_tip = each_leg(|i| self.rod_coupling * self.along_lever(pose, i, a));
         at_joints + with_tip + self.transpose(pose, &(a * self.tip_mass + rods))
     }
 
@@ -238,8 +248,8 @@ impl<T: Real> Delta<T> {
     #[inline(always)]
     fn unit_motion(&self, pose: &Pose<T>, n: &Vector3<T>) -> UnitMotion<T> {
         let e = self.inverse(pose, n);
-        let with_tip = Vector3::from_fn(|i, _| self.rod_coupling * self.along_lever(pose, i, n));
-        let momentum = Vector3::from_fn(|i, _| self.arm_inertia[i] * e[i]) + with_tip;
+        let with_tip = each_leg(|i| self.rod_coupling * self.along_lever(pose, i, n));
+        let momentum = each_leg(|i| self.arm_inertia[i] * e[i]) + with_tip;
         UnitMotion { e, momentum, arms: e.dot(&(momentum + with_tip)) }
     }
 }
@@ -375,7 +385,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         // The tip's acceleration while no joint accelerates, by the rigidity of the rods.
         let tip = self.velocity(pose, qd);
-        let constrained = Vector3::from_fn(|i, _| self.constrained(pose, i, qd[i], &tip));
+        let constrained = each_leg(|i| self.constrained(pose, i, qd[i], &tip));
         let a = Matrix3::from_columns(&across(&pose.rod)) * constrained * -pose.inverse_det;
         self.inertial_torque(pose, qd, &Vector3::zeros(), Some(&a))
     }
@@ -384,12 +394,12 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
     fn gravity(&self, pose: &Pose<T>) -> Vector3<T> {
         let through_tip = self.transpose(pose, &Vector3::from(self.tip_weight));
         let elbow = |i: usize| rotated_left(&pose.arm[i]).dot(&Vector2::from(self.elbow_weights[i]));
-        Vector3::from_fn(|i, _| -elbow(i) - through_tip[i])
+        each_leg(|i| -elbow(i) - through_tip[i])
     }
 
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
-        Vector3::from_fn(|i, _| pose.columns[i].dot(force))
+        each_leg(|i| pose.columns[i].dot(force))
     }
 
     #[inline(always)]
@@ -399,7 +409,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T>, velocity: &Vector3<T>) -> Vector3<T> {
-        Vector3::from_fn(|i, _| pose.rod[i].dot(velocity) * pose.inverse_k[i])
+        each_leg(|i| pose.rod[i].dot(velocity) * pose.inverse_k[i])
     }
 
     #[inline(always)]
@@ -419,7 +429,7 @@ impl<T: Real> Mechanism<T, 3> for Delta<T> {
             // At these velocities, the joints must accelerate to keep the tip without acceleration.
             let qdd_bias = self.joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
             qdd += qdd_bias;
-            at_joints += Vector3::from_fn(|i, _| self.arm_inertia[i] * qdd_bias[i]);
+            at_joints += each_leg(|i| self.arm_inertia[i] * qdd_bias[i]);
         }
         let at_tip = n * (self.tip_mass * s) + self.rod_force(pose, qd, &qdd);
         ShapedTorque { e, torque: at_joints + self.transpose(pose, &at_tip) }

@@ -253,7 +253,7 @@ fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
 mod tests {
     use super::*;
     use crate::model::catalogue::Kind;
-    use crate::model::description::{self, Description, Encoder};
+    use crate::model::description::{self, Description, Encoder, Homing};
 
     /// Returns the conversion of joint 0 of a redundant arm with this encoder, as on a board.
     fn encoding(counts_per_turn: f64, inverted: bool) -> Encoding<f32> {
@@ -267,7 +267,9 @@ mod tests {
             links: [link; _],
             joints,
             handle_mass: 0.0,
+            sensed: [None; 3],
             home: None,
+            homing: Homing::Hand,
         };
         let device = Device::<f32>::new("arm", &description).expect("a sound device");
         Encoding::new(&device.joints[0], 1_000.0)

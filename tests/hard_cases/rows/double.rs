@@ -96,5 +96,10 @@ fn rows(name: &'static str, device: &Description) -> Vec<Row> {
 /// Returns the rows of every mechanism with a closed loop.
 pub fn all_rows() -> Vec<Row> {
     let turret = shipped_device("fictive-five-bar-turret");
-    rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()
+    let devices = [
+        ("five-bar (wide base)", wide_five_bar()),
+        ("five-bar-turret", turret),
+        ("delta", shipped_device("falcon-like")),
+    ];
+    devices.into_iter().flat_map(|(name, device)| rows(name, &device)).collect()
 }

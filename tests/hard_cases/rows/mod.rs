@@ -3,6 +3,8 @@
 #![allow(dead_code, reason = "only the tables use all of them")]
 
 use super::{Exact, ExactMath, shipped_device};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::{Description, Joint, JointFrame};
 use std::sync::LazyLock;
 
 /// Evaluates an expression with the mechanism of a device in f64, in f32 and in the reference's numbers.
@@ -24,14 +26,70 @@ pub mod singular;
 pub mod steps;
 pub mod turns;
 
-/// Name in the tables and device file of one shipped device per mechanism.
-const DEVICES: [(&str, &str); 5] = [
-    ("paddle", "hapkit-paddle"),
-    ("five-bar", "haply-2diy"),
-    ("five-bar-turret", "fictive-five-bar-turret"),
-    ("parallelogram", "phantom-premium-1.5"),
-    ("serial-3r", "serial-3r"),
-];
+/// Returns the devices of the tables with their names there, one or two per mechanism.
+pub fn devices() -> Vec<(&'static str, Description)> {
+    let shipped = [
+        ("paddle", "hapkit-paddle"),
+        ("paddle with weight", "upright-hapkit"),
+        ("five-bar", "haply-2diy"),
+        ("five-bar-turret", "fictive-five-bar-turret"),
+        ("parallelogram", "phantom-premium-1.5"),
+        ("serial-3r", "serial-3r"),
+        ("chain-2", "planar-arm"),
+        ("chain-3", "touch"),
+        ("delta", "falcon-like"),
+    ];
+    let made = [
+        ("paddles-2", unequal_paddles(Kind::Paddles2)),
+        ("paddles-3", unequal_paddles(Kind::Paddles3)),
+        ("chain-1", single_arm()),
+        ("chain-2 (slide)", polar_arm()),
+    ];
+    shipped.map(|(name, file)| (name, shipped_device(file))).into_iter().chain(made).collect()
+}
+
+/// Returns two or three paddles with weight and unequal lengths and inertias.
+fn unequal_paddles(kind: Kind) -> Description {
+    let mut device = Description { kind, ..shipped_device("upright-hapkit") };
+    for (i, factor) in [1.0, 0.5, 1.5].into_iter().enumerate().take(kind.spec().joints) {
+        device.geometry[i] = factor * 0.07;
+        device.links[i] = device.links[0];
+        device.joints[i] = Joint { inertia: factor * 1.7e-4, ..device.joints[0] };
+    }
+    device
+}
+
+/// Returns a chain of one joint, the forearm of the planar arm. Its task is the tip's x.
+pub fn single_arm() -> Description {
+    let mut device = shipped_device("planar-arm");
+    device.kind = Kind::Chain1;
+    device.links[0] = device.links[1];
+    device.gravity = [0.0, -9.81, 0.0];
+    device
+}
+
+/// Returns a chain of a revolute and a prismatic joint. It is singular inside the slide's limits.
+pub fn polar_arm() -> Description {
+    let mut device = shipped_device("planar-arm");
+    device.gravity = [0.0, -9.81, 0.0];
+    let slide = &mut device.joints[1];
+    (slide.prismatic, slide.inertia, slide.limits) = (true, 0.02, Some((-0.2, 0.2)));
+    slide.frame = JointFrame { origin: [0.02, 0.01, 0.0], rpy: [0.0, 0.0, 0.4], axis: [1.0, 0.0, 0.0] };
+    device
+}
+
+/// Returns the mean length of a device's first links, m.
+pub fn mean_length(device: &Description) -> f64 {
+    let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let [a, b, c, ..] = device.geometry;
+    match device.kind {
+        Kind::Chain1 | Kind::Chain2 | Kind::Chain3 => {
+            let arms = device.joints.iter().map(|joint| norm(joint.frame.origin));
+            (norm([a, b, c]) + arms.sum::<f64>()) / device.kind.spec().joints as f64
+        }
+        _ => (a + b + c) / 3.0,
+    }
+}
 
 pub static SINGULAR_ROWS: LazyLock<Vec<singular::Row>> = LazyLock::new(singular::all_rows);
 pub static EXTREME_ROWS: LazyLock<Vec<extremes::Row>> = LazyLock::new(extremes::all_rows);

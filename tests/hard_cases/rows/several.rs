@@ -5,7 +5,7 @@
 use super::routes::inverse;
 use super::singular::{Random, cast};
 use super::steps::{controller, counts, pad_to_three, scene, with_encoders};
-use super::{DEVICES, Exact, ExactMath, shipped_device};
+use super::{Exact, ExactMath, devices};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::Description;
@@ -88,7 +88,7 @@ where
             let mut row = Row { device: name, angle, torque: [0.0; 3], smallest_shaping: f64::INFINITY };
             let mut poses = 0;
             while poses < POSES_PER_ROW {
-                let q: SVector<f64, N> = random.vector(3.1);
+                let q: SVector<f64, N> = random.pose(&double);
                 let pose = double.pose::<Libm>(&q);
                 let r = double.regularity(&pose);
                 let mut n: SVector<f64, N> = random.normal(task);
@@ -144,11 +144,11 @@ where
 
 /// Returns the rows of every mechanism with more than one direction.
 pub fn all_rows() -> Vec<Row> {
-    DEVICES
+    devices()
         .into_iter()
-        .skip(1)
-        .flat_map(|(name, file)| {
-            let device = with_encoders(&shipped_device(file));
+        .filter(|(_, device)| device.kind.spec().joints > 1)
+        .flat_map(|(name, device)| {
+            let device = with_encoders(&device);
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()

@@ -1,8 +1,8 @@
 //! Errors of the routes at poses with a chosen condition number of J near each kind of singularity.
 
 use super::routes::{Errors, QuantityErrors, all_quantities, routes};
-use super::shipped_device;
 use super::{Exact, ExactMath};
+use super::{mean_length, polar_arm, shipped_device, single_arm};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Libm, Real};
 use haptic_bridge::model::description::Description;
@@ -16,6 +16,8 @@ pub enum Singularity {
     Elbow,
     /// Serial singularity in which the tip is on the turret's axis.
     Axis,
+    /// Serial singularity of a chain or a delta, in which det J changes its sign.
+    Serial,
     /// Parallel singularity in which the distal rods of a closed loop lie in one line.
     Rods,
 }
@@ -87,9 +89,15 @@ impl Random {
         SVector::from_fn(|i, _| if i < task { n[i] } else { 0.0 })
     }
 
+    /// Draws joint angles of up to half a turn, and travels of up to 0.31 m.
+    pub fn pose<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M) -> SVector<f64, N> {
+        let q = self.vector::<N>(3.1);
+        SVector::from_fn(|i, _| if m.is_prismatic(i) { 0.1 * q[i] } else { q[i] })
+    }
+
     pub fn regular_pose<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M) -> SVector<f64, N> {
         loop {
-            let q = self.vector(3.1);
+            let q = self.pose(m);
             let r = m.regularity(&m.pose::<Libm>(&q));
             if r.serial.min(r.parallel) >= 0.2 {
                 return q;
@@ -120,7 +128,7 @@ fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, ta
 /// Returns a number whose sign changes at the singularity.
 fn signed_gap<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singularity: Singularity) -> f64 {
     let mut q = *q;
-    let turret = M::SPEC.task == 3;
+    let turret = matches!(M::SPEC.name, "five-bar-turret" | "parallelogram");
     if turret {
         q[0] = 0.0;
     }
@@ -130,6 +138,10 @@ fn signed_gap<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, 
     match singularity {
         Singularity::Axis => radius,
         Singularity::Rods => m.regularity(&pose).parallel - 1e-9,
+        Singularity::Serial => {
+            let jacobian = m.jacobian(&pose);
+            DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]).determinant()
+        }
         Singularity::Elbow => {
             let j = m.jacobian(&pose);
             let minor = |r: usize, c: usize| j[(r, c)] * j[(r + 1, c + 1)] - j[(r, c + 1)] * j[(r + 1, c)];
@@ -151,7 +163,7 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     scale: f64,
     random: &mut Random,
 ) -> Option<SVector<f64, N>> {
-    let start: SVector<f64, N> = random.vector(3.1);
+    let start: SVector<f64, N> = random.pose(m);
     let direction: SVector<f64, N> = random.vector(1.0);
     let at = |t: f64| start + direction * t;
     let regular = |t: f64| {
@@ -184,6 +196,7 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
         Singularity::Rods => r.serial > 0.2,
         Singularity::Elbow => r.parallel > 0.2 && (M::SPEC.task < 3 || clear(Singularity::Axis)),
         Singularity::Axis => r.parallel > 0.2 && clear(Singularity::Elbow),
+        Singularity::Serial => r.parallel > 0.2,
     };
     (alone && (nearness(m, &at(pose), target, scale) - 1.0).abs() < 0.01).then(|| at(pose))
 }
@@ -258,7 +271,7 @@ where
 }
 
 pub fn rows(name: &'static str, device: &Description, singularity: Singularity) -> Vec<Row> {
-    let scale = device.geometry[..3].iter().sum::<f64>() / 3.0;
+    let scale = mean_length(device);
     let targets = singularity.targets().into_iter();
     in_three_precisions!(device, (a, b, c) => {
         let rows = targets.map(|target| row((&a, &b, &c), name, singularity, target, scale));
@@ -283,6 +296,12 @@ pub fn all_rows() -> Vec<Row> {
         ("parallelogram (Phantom)", shipped_device("phantom-premium-1.5"), Singularity::Elbow),
         ("parallelogram (Phantom)", shipped_device("phantom-premium-1.5"), Singularity::Axis),
         ("serial-3r", shipped_device("serial-3r"), Singularity::Elbow),
+        ("chain-1", single_arm(), Singularity::Serial),
+        ("chain-2", shipped_device("planar-arm"), Singularity::Serial),
+        ("chain-2 (slide)", polar_arm(), Singularity::Serial),
+        ("chain-3", shipped_device("touch"), Singularity::Serial),
+        ("delta", shipped_device("falcon-like"), Singularity::Serial),
+        ("delta", shipped_device("falcon-like"), Singularity::Rods),
     ]
     .into_iter()
     .flat_map(|(name, device, singularity)| rows(name, &device, singularity))

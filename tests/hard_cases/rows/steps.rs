@@ -1,7 +1,8 @@
-//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into this wall.
+//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into this wall. Every
+//! device also has motors behind gears of 1:50 with encoders of 65,536 counts.
 
+use super::devices;
 use super::singular::Random;
-use super::{DEVICES, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
@@ -14,6 +15,8 @@ use nalgebra::SVector;
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
+    /// True if the motors are behind gears of 1:50.
+    pub geared: bool,
     /// Largest torque error of the hit, as a share of the hit's largest torque.
     pub hit_error: f64,
     /// Largest wall force of the hit, N.
@@ -33,6 +36,10 @@ const WALL_STIFFNESS: f64 = 1e6;
 const HIT_SPEED: f64 = 10.0;
 /// Counts per turn of encoders that resolve penetrations in micrometres.
 const COUNTS_PER_TURN: f64 = 1_048_576.0;
+/// Motor turns per joint turn of a geared device.
+const GEAR_RATIO: f64 = 50.0;
+/// Counts per motor turn of a geared device.
+const MOTOR_COUNTS: f64 = 65_536.0;
 
 /// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. Without a home, count 0 is angle 0.
 pub fn with_encoders(device: &Description) -> Description {
@@ -43,9 +50,24 @@ pub fn with_encoders(device: &Description) -> Description {
     device
 }
 
+/// Returns the device of [`with_encoders`] with gears of [`GEAR_RATIO`] before its motors and encoders.
+pub fn with_gears(device: &Description) -> Description {
+    let mut device = with_encoders(device);
+    for joint in &mut device.joints {
+        joint.inertia *= GEAR_RATIO * GEAR_RATIO;
+        let encoder = joint.encoder.as_mut().expect("every joint has an encoder");
+        encoder.counts_per_turn = GEAR_RATIO * MOTOR_COUNTS;
+    }
+    device
+}
+
 /// Returns the encoder counts of joint angles in rad.
 pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
-    core::array::from_fn(|i| (q[i] * COUNTS_PER_TURN / std::f64::consts::TAU).round() as i32)
+    counts_of(q, COUNTS_PER_TURN)
+}
+
+fn counts_of<const N: usize>(q: &SVector<f64, N>, counts_per_turn: f64) -> [i32; N] {
+    core::array::from_fn(|i| (q[i] * counts_per_turn / std::f64::consts::TAU).round() as i32)
 }
 
 /// Returns a scene with one plane wall through `point` (m) that faces along `normal`, and with all terms on.
@@ -115,22 +137,31 @@ fn run_up<M: Mechanism<f64, N>, const N: usize>(
             return None;
         }
     }
-    let surface = m.tip(&m.pose::<Libm>(start)) - n * 0.02;
+    // Between two steps, so that f32 and f64 touch it in the same step.
+    let surface = m.tip(&m.pose::<Libm>(start)) - n * (0.02 + 0.4 * HIT_SPEED / RATE_HZ);
     Some((run, surface))
 }
 
-fn row<A, B, const N: usize>(double: A, board: B, name: &'static str, device: &Description) -> Row
+fn row<A, B, const N: usize>(double: A, board: B, name: &'static str, device: &Description, geared: bool) -> Row
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
 {
     let task = A::SPEC.task;
     let mut random = Random(3);
-    let mut row =
-        Row { device: name, hit_error: 0.0, force: 0.0, speed: 0.0, smallest_force: f64::INFINITY, rest_error: 0.0 };
+    let mut row = Row {
+        device: name,
+        geared,
+        hit_error: 0.0,
+        force: 0.0,
+        speed: 0.0,
+        smallest_force: f64::INFINITY,
+        rest_error: 0.0,
+    };
+    let counts = |q: &SVector<f64, N>| counts_of(q, if geared { GEAR_RATIO * MOTOR_COUNTS } else { COUNTS_PER_TURN });
     let mut runs = 0;
     while runs < 10 {
-        let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.normal(task));
+        let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.pose(&double), random.normal(task));
         let n = n / n.dot(&n).sqrt();
         if !is_usable(&double, &start) {
             continue;
@@ -174,11 +205,11 @@ where
 }
 
 pub fn all_rows() -> Vec<Row> {
-    DEVICES
-        .map(|(name, file)| {
-            let device = with_encoders(&shipped_device(file));
+    let rows = |(name, device): (&'static str, Description)| {
+        [with_encoders(&device), with_gears(&device)].into_iter().zip([false, true]).map(move |(device, geared)| {
             let mechanism = AnyMechanism::<f64>::new(&device).expect("a sound device");
-            haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device))
+            haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device, geared))
         })
-        .to_vec()
+    };
+    devices().into_iter().flat_map(rows).collect()
 }

@@ -1,10 +1,10 @@
 //! Encoders with fractional counts per turn, over thousands of turns. The tip position of the f32 step is compared with
 //! the tip at the angles n 2π/C, which are not reduced to one turn.
 
-use super::shipped_device;
 use super::singular::{Random, cast};
 use super::steps::{controller, pad_to_three, scene, with_encoders};
 use super::{Exact, ExactMath};
+use super::{mean_length, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Real;
 use haptic_bridge::model::description::Description;
@@ -12,8 +12,8 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::SVector;
 
-/// Counts per turn: with half a count, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
-pub const ENCODER_COUNTS: [f64; 4] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07];
+/// Counts per turn: with half a count, 20,000 counts behind gears of 7:3 and √1.1:1, a measured value, and 16 bits.
+pub const ENCODER_COUNTS: [f64; 5] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07, 65_536.0];
 /// Whole turns away from home.
 pub const TURNS: [i32; 4] = [0, 100, 1_000, 10_000];
 
@@ -37,7 +37,7 @@ where
     C: Mechanism<Exact, N>,
 {
     let task = A::SPEC.task;
-    let length = device.geometry[..3].iter().sum::<f64>() / 3.0;
+    let length = mean_length(device);
     ENCODER_COUNTS
         .map(|counts_per_turn| {
             let mut device = with_encoders(device);
@@ -73,11 +73,17 @@ where
 }
 
 pub fn all_rows() -> Vec<Row> {
-    [("five-bar", "haply-2diy"), ("serial-3r", "serial-3r")]
-        .into_iter()
-        .flat_map(|(name, file)| {
-            let device = shipped_device(file);
-            in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
-        })
-        .collect()
+    [
+        ("five-bar", "haply-2diy"),
+        ("serial-3r", "serial-3r"),
+        ("chain-2", "planar-arm"),
+        ("chain-3", "touch"),
+        ("delta", "falcon-like"),
+    ]
+    .into_iter()
+    .flat_map(|(name, file)| {
+        let device = shipped_device(file);
+        in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
+    })
+    .collect()
 }

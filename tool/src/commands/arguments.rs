@@ -97,7 +97,7 @@ impl Numbers {
 pub struct DeviceAt {
     /// Device file (TOML)
     pub device: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    /// Joint angles in rad, travels in m, such as 2.4,0.7 [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
 }

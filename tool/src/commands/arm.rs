@@ -4,10 +4,10 @@ use super::answer::Json;
 use super::held_key::{HeldKey, in_raw_terminal};
 use super::interrupt::{self, Interrupt};
 use super::port::{OnBoard, motors_off_failure};
-use haptic_bridge::control::{ARM_SECONDS, HostAction};
+use haptic_bridge::control::{ARM_SECONDS, HostAction, Status};
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::{Failure, print};
-use haptic_host::link::Board;
+use haptic_host::link::{Board, BoardError};
 use haptic_show::view::message::FromPage;
 use serde_json::json;
 use std::io::IsTerminal;
@@ -37,7 +37,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let host_action = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
-        return arm_while_held(&mut board, args.on.json, stop);
+        let intro = "hold Space: motors on; release Space: motors off; q ends\n";
+        let armed = KeyedMotion { intro, begin: Board::arm_held, state: State::Armed, is_done: |_| false };
+        run_while_held(&mut board, &armed, args.on.json, stop)?;
+        return print("disarmed: the motors are off\n");
     }
     board.arm()?;
     let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": host_action });
@@ -72,25 +75,36 @@ const KEY_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval between polls of the board's status.
 const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Keeps the motors on while Space is held, until `q`.
-fn arm_while_held(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
+/// A motion of the motors that lasts while a key is held.
+pub struct KeyedMotion {
+    /// Instructions for the user.
+    pub intro: &'static str,
+    /// Starts the motion, see [`Board::arm_held`].
+    pub begin: fn(&mut Board, u32) -> Result<(), BoardError>,
+    /// State of the board meanwhile.
+    pub state: State,
+    /// Returns true if the motion has ended well.
+    pub is_done: fn(&Status) -> bool,
+}
+
+/// Keeps the motors on while Space is held, until `q` or the end of the motion. Then turns the motors off.
+pub fn run_while_held(board: &mut Board, motion: &KeyedMotion, json: Json, stop: Interrupt) -> Result<(), Failure> {
     if json.is_requested() {
         return Err(Failure::wrong("--key does not apply with --json: it needs a person at the terminal"));
     }
     if !std::io::stdin().is_terminal() {
         return Err(Failure::wrong("--key needs a terminal, for the Space key").remedy("run it in a terminal"));
     }
-    print("hold Space: motors on; release Space: motors off; q ends\n")?;
+    print(motion.intro)?;
     board.keep_alive();
-    let ended = in_raw_terminal(|| follow_key(board, stop)).map_err(Failure::impossible);
+    let ended = in_raw_terminal(|| follow_key(board, motion, stop)).map_err(Failure::impossible);
     haptic_host::error::overwrite_line(format_args!(""), true);
     let off = board.disarm();
     ended??;
-    off?;
-    print("disarmed: the motors are off\n")
+    Ok(off?)
 }
 
-fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
+fn follow_key(board: &mut Board, motion: &KeyedMotion, stop: Interrupt) -> Result<(), Failure> {
     let rate = board.details()?.rate_hz;
     let (mut key, mut on, mut polled) = (HeldKey::default(), false, Instant::now());
     let show = |words: &str| haptic_host::error::overwrite_line(format_args!("{words:40}"), false);
@@ -99,7 +113,7 @@ fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
         let Some(message) = key.read_keys(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
         match message {
             Some(FromPage::Arm { seen }) => {
-                board.arm_held(seen)?;
+                (motion.begin)(board, seen)?;
                 on = true;
                 show("motors on");
             }
@@ -116,7 +130,8 @@ fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
             let status = board.status()?;
             match status.fault {
                 Some(record) if status.state == State::Fault => return Err(motors_off_failure(&record, rate)),
-                _ if status.state != State::Armed => {
+                _ if (motion.is_done)(&status) => return Ok(()),
+                _ if status.state != motion.state => {
                     key.forget();
                     on = false;
                     show("disarmed by another tool");

@@ -2,21 +2,20 @@
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
-use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, Homing};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
-use haptic_host::words::with_unit;
+use haptic_host::words::{joint_units, with_unit};
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic_predict::plausible::scene::Contact;
 use haptic_predict::plausible::{Warning, device, scene, warn};
 use haptic_predict::summary::Summary;
 use haptic_predict::template::MOTORS_AND_ENCODERS;
-use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
+use haptic_predict::tip::{Tip, board_speeds, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
 use haptic_show::plot::paper::Paper;
@@ -53,6 +52,8 @@ struct Report {
     mechanism: &'static str,
     joints: usize,
     task: usize,
+    /// Names of the encoders without motors.
+    sensed: Vec<String>,
     summary: Summary,
     lacks: Vec<String>,
     scenes: Vec<SceneReport>,
@@ -100,12 +101,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         mechanism: spec.name,
         joints: spec.joints,
         task: spec.task,
+        sensed: file.sensed_names.clone(),
         summary,
         lacks: file.missing_for_board(),
         scenes,
         warnings,
     };
-    args.json.answer(&report, &readable(&report, &tip_in_words(&file.description)))
+    let tip_and_home = tip_in_words(&file.description) + homing_in_words(&file.description);
+    args.json.answer(&report, &readable(&report, &tip_and_home))
 }
 
 fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
@@ -171,7 +174,7 @@ fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture
     drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))
 }
 
-fn readable(report: &Report, tip: &str) -> String {
+fn readable(report: &Report, tip_and_home: &str) -> String {
     let mut text = format!(
         "{}: sound: {}, {}{} of {} and {}\n",
         report.path,
@@ -184,7 +187,10 @@ fn readable(report: &Report, tip: &str) -> String {
     for line in report.summary.lines() {
         text.push_str(&format!("  {line}\n"));
     }
-    text.push_str(tip);
+    if !report.sensed.is_empty() {
+        text.push_str(&format!("  encoders without motors: {}\n", report.sensed.join(", ")));
+    }
+    text.push_str(tip_and_home);
     text.push_str(&format!("  {MOTORS_AND_ENCODERS}\n"));
     for lack in &report.lacks {
         text.push_str(&format!("  before a real board arms: {lack}\n"));
@@ -243,22 +249,38 @@ fn readable(report: &Report, tip: &str) -> String {
     text
 }
 
+/// Describes how a board learns the joint angles.
+fn homing_in_words(description: &Description) -> &'static str {
+    match description.homing {
+        _ if description.home.is_none() => "",
+        Homing::Hand => "  homed by hand: `haptic home` declares the home pose\n",
+        Homing::Index => "  homed by index marks: move each joint slowly over its mark while `haptic home` waits\n",
+        Homing::Stop(_) => {
+            "  homed by stops: `haptic home` roughly in the home pose, `haptic polarity`, then `haptic home --key`\n"
+        }
+    }
+}
+
 /// Describes the force and the energy that a person at the tip can meet.
 fn tip_in_words(description: &Description) -> String {
     let motors = motor_torques(description);
     match Tip::at_home(description) {
         Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
-            let speed = [BOARD_SPEED; MAX_JOINTS];
+            let (speed, units) = (board_speeds(description), description.units());
+            let mut speeds: Vec<String> =
+                speed.iter().zip(&units).map(|(speed, of)| format!("{speed} {}", of.speed)).collect();
+            speeds.dedup();
             let spec = description.kind.spec();
             let moment = if spec.joints > spec.task { ", with a moment in addition" } else { "" };
             let joints: Vec<String> =
                 tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
                 "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board limits walls to \
-                 {GENTLE_FORCE} N by default, and `haptic device` sets its torque limits for that force and the device's weight ({} N m); at {} rad/s, the default speed limit of a real board, its links carry {:.2} J\n",
+                 {GENTLE_FORCE} N by default, and `haptic device` sets its torque limits for that force and the device's weight ({} {}); at {}, the default speed limit of a real board, its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
-                BOARD_SPEED,
+                joint_units(&units, |joint| joint.torque),
+                speeds.join(" and "),
                 tip.energy(&speed)
             )
         }

@@ -3,9 +3,10 @@
 use super::answer::{Json, Pictures};
 use super::arguments::{self, DeviceAt, HoldingArgs, Numbers};
 use super::continued::Continue;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
-use haptic_host::words::percent;
+use haptic_host::words::{joint_units, percent};
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
@@ -164,7 +165,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     let result = WithWarnings { result: &document, warnings: &warnings };
-    args.json.answer(result, &readable(&document, requested.is_some(), &args))?;
+    args.json.answer(result, &readable(&document, &file.description, requested.is_some(), &args))?;
     sweep.finish();
     Ok(())
 }
@@ -174,12 +175,13 @@ fn join(values: &[f64]) -> String {
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
 
-fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
+fn readable(document: &Document, description: &Description, has_normal: bool, args: &Args) -> String {
     let mut text = String::new();
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    line(format!("{}: q = ({}) rad, n = ({})", document.device, join(&document.q), join(&document.normal)));
+    let unit = joint_units(&description.units(), |joint| joint.travel);
+    line(format!("{}: q = ({}) {unit}, n = ({})", document.device, join(&document.q), join(&document.normal)));
     line(format!(
         "  the stiffest walls as predicted by haptic range {} {}",
         args.at.device.display(),

@@ -3,6 +3,7 @@
 use super::port::{OnBoard, warn_of_weaker_rules};
 use super::read_back::{ReadOptions, required_file};
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit, VOLTS_MARGIN};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
@@ -10,6 +11,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use haptic_host::read_back::{device_entries, differences as compare, to_toml};
 use haptic_host::toml_file::Document;
+use haptic_host::words::joint_units;
 use haptic_predict::plausible::{device::file_warnings, warn};
 use haptic_predict::tip::{Tip, torques_hidden_by_speed};
 use serde_json::json;
@@ -65,6 +67,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
             format!("{}:{line}: the device has {joints} joints and the board {} axes", path.display(), details.axes);
         return Err(Failure::wrong(reason).remedy("use a board with more axes"));
     }
+    let (sensed, inputs) = (device.sensed.len(), usize::from(details.encoders));
+    if joints + sensed > inputs {
+        let (left, path) = (inputs.saturating_sub(joints), path.display());
+        let line = document.find("sensed", Some(left), "", "").map_or(1, |at| at.0);
+        let reason = format!(
+            "{path}:{line}: the board has {inputs} encoder inputs, of which {joints} joints leave {left} for {sensed} [[sensed]]"
+        );
+        return Err(Failure::wrong(reason).remedy("remove those that it cannot read"));
+    }
     board.set_device(&device)?;
     let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
     if details.real || args.tip_force.is_some() {
@@ -113,12 +124,12 @@ fn read_back(args: &Args) -> Result<(), Failure> {
     args.read.report(&args.on, "device", Ok(text), compared)
 }
 
-/// Returns the board's highest torque limit (N m), from its refusal of an infinite limit.
-fn max_torque(board: &mut Board) -> Option<f32> {
+/// Returns the board's highest torque limit of a joint with these units, from its refusal of an infinite limit.
+fn max_torque(board: &mut Board, units: &JointUnits) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;
     match board.set_rules(&rules) {
-        Err(BoardError::Refused(Refusal::BadLimit(bad))) if bad.limit == Limit::Torque => Some(bad.most),
+        Err(BoardError::Refused(Refusal::BadLimit(bad))) if bad.limit == Limit::Torque => Some(bad.most / units.lever),
         _ => None,
     }
 }
@@ -134,17 +145,19 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
         _ => Vec::new(),
     };
-    for (limit, needed) in rules.limits.torque.iter_mut().zip(&needs) {
-        *limit = limit.min(*needed);
+    let units = file.description.units();
+    for ((limit, needed), units) in rules.limits.torque.iter_mut().zip(&needs).zip(&units) {
+        *limit = limit.min(*needed * units.lever);
     }
     if rules != before {
         board.set_rules(&rules)?;
-        warn_of_weaker_rules(&before, &rules);
+        warn_of_weaker_rules(&before, &rules, &units);
     }
     let hidden = VOLTS_MARGIN * newtons;
     let faster = match Tip::at_home(&file.description) {
         Some(Ok(tip)) => {
-            format!(" and {:.2} N more for each rad/s", tip.force(&torques_hidden_by_speed(&file.description)))
+            let speed = joint_units(&units, |joint| joint.speed);
+            format!(" and {:.2} N more for each {speed}", tip.force(&torques_hidden_by_speed(&file.description)))
         }
         _ => String::new(),
     };
@@ -157,18 +170,22 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
         each.join(", ")
     };
-    let limits = list(&rules.limits.torque);
+    let torques = rules.limits.in_units(&units).torque;
+    let unit = joint_units(&units, |joint| joint.torque);
+    let limits = format!("{} {unit}", list(&torques));
     // Keeps a limit that was lower before, because it may have been set on purpose.
-    if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
+    if torques.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
         let needs_in_words =
             format!("{newtons} N at the tip in the home pose, and the weight of the device, take {}", list(&needs));
-        return Ok(match max_torque(board) {
-            Some(max) if needs.iter().any(|needed| *needed > max) => format!(
-                "{tip}  torque limits: {limits} N m; {needs_in_words}, and the board allows at most {max}: are lengths in \
+        let beyond =
+            needs.iter().zip(&units).find_map(|(needed, units)| max_torque(board, units).filter(|max| needed > max));
+        return Ok(match beyond {
+            Some(max) => format!(
+                "{tip}  torque limits: {limits}; {needs_in_words}, and the board allows at most {max}: are lengths in \
                  the file in m and masses in kg? use a smaller `--tip-force`\n"
             ),
-            _ => format!(
-                "{tip}  torque limits: {limits} N m, some were lower before; {needs_in_words}: \
+            None => format!(
+                "{tip}  torque limits: {limits}, some were lower before; {needs_in_words}: \
                  `haptic rules --torque` raises them\n"
             ),
         });
@@ -177,7 +194,7 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         return Ok(tip);
     }
     Ok(format!(
-        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose in addition to the device's weight; \
+        "{tip}  torque limits: {limits}, for at most {newtons} N at the tip in the home pose in addition to the device's weight; \
          `haptic rules --torque` raises them\n"
     ))
 }

@@ -63,21 +63,23 @@ fn clear(args: &Args) -> Result<(), Failure> {
     let cleared = before.map(|record| record.fault.name());
     let done = cleared.map_or("no fault was latched".into(), |name| format!("cleared {name}"));
     let mut words = format!("{done}; the board is {}\n", state_in_words(status.state));
-    for joint in &outside {
+    for (joint, unit) in &outside {
         words.push_str(&format!(
-            "joint {joint} is outside its limits, at {:.3} rad: move it back by hand, or the board will not arm\n",
+            "joint {joint} is outside its limits, at {:.3} {unit}: move it back by hand, or the board will not arm\n",
             status.q[*joint]
         ));
     }
+    let outside: Vec<usize> = outside.into_iter().map(|(joint, _)| joint).collect();
     let document = json!({ "cleared": cleared, "state": format!("{:?}", status.state), "outside_limits": outside });
     args.on.answer(document, &words)
 }
 
-/// Returns the joints outside their limits, if the board knows their angles.
-fn outside_limits(board: &mut Board, status: &Status) -> Result<Vec<usize>, Failure> {
+/// Returns the joints outside their limits with the units of their travel, if the board knows it.
+fn outside_limits(board: &mut Board, status: &Status) -> Result<Vec<(usize, &'static str)>, Failure> {
     let known = status.homed || !board.details()?.real;
     let Some(device) = board.device()?.filter(|_| known) else { return Ok(Vec::new()) };
     let joints = device.joints[..device.axes()].iter().zip(status.q).enumerate();
     let outside = joints.filter(|(_, (joint, q))| joint.limits.is_some_and(|(low, high)| !(low..=high).contains(q)));
-    Ok(outside.map(|(index, _)| index).collect())
+    let units = device.mechanism.units();
+    Ok(outside.map(|(index, _)| (index, units[index].travel)).collect())
 }

@@ -4,6 +4,7 @@ use super::port::{OnBoard, fault_without_remedy, numbers_in_words, scene_in_word
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
+use haptic_host::words::joint_units;
 use serde_json::json;
 
 /// Show a board, its device and scene, and its state
@@ -20,7 +21,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let status = board.status()?;
     let scene = board.scene()?;
     let tip_force = board.rules()?.limits.tip_force;
-    let axes = board.device()?.map_or(0, |device| device.axes());
+    let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
+    let axes = units.len();
     if args.on.json.is_requested() {
         let fault = status.fault.map(|record| {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
@@ -28,7 +30,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         });
         return print_json(json!({
             "port": board.port(), "board": info.board, "serial": info.serial, "firmware": info.firmware,
-            "protocol": info.protocol, "name": details.name, "axes": details.axes, "real": details.real,
+            "protocol": info.protocol, "name": details.name, "axes": details.axes, "encoders": details.encoders,
+            "real": details.real,
             "device": details.device, "rate_hz": details.rate_hz, "carrier_hz": details.carrier_hz,
             "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
             "overruns": details.overruns, "longest_cycles": details.longest_cycles,
@@ -42,7 +45,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
     line("board", format!("{}{name}, serial number {}, on {}", info.board, info.serial, board.port()));
     line("firmware", format!("{}, protocol {}", info.firmware, info.protocol));
-    line("axes", details.axes.to_string());
+    line("axes", format!("{}, and {} encoder inputs", details.axes, details.encoders));
     line(
         "control",
         format!("{} Hz, carrier {} Hz, delay {} samples", details.rate_hz, details.carrier_hz, details.delay_samples),
@@ -64,7 +67,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
         let unknown = if status.homed { "" } else { "  (not homed: relative to the pose at power-on)" };
-        line("joints", numbers_in_words(&status.q[..axes], "rad") + unknown);
+        line("joints", numbers_in_words(&status.q[..axes], &joint_units(&units, |unit| unit.travel)) + unknown);
         line("tip", numbers_in_words(&status.tip[..axes], "m") + unknown);
     }
     if let Some(record) = &status.fault {

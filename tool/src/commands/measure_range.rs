@@ -70,7 +70,7 @@ pub struct Args {
     /// Corner of the washout in Hz, for --feed-forward washout
     #[arg(long, value_name = "HZ", default_value_t = 2.0)]
     washout: f64,
-    /// Largest joint torque of the measurement, in N m
+    /// Largest joint torque of the measurement, in N m; a slide has its force at a lever of 0.08 m
     #[arg(long, value_name = "NM", default_value_t = 1.0)]
     torque_limit: f64,
     /// Longest pull that sets the tip swinging, to one side or (negative) the other, at most 5: in millimetres, the only
@@ -81,7 +81,7 @@ pub struct Args {
     /// does, such as 0.5,0.03
     #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
     posture: Option<Numbers>,
-    /// On --port sim: joint angles of the measurement in rad [default: the device file's home]
+    /// On --port sim: joint angles of the measurement in rad, travels in m [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
     /// On --port sim: leave out all friction
@@ -169,7 +169,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         torque_limit: args.torque_limit,
         largest_pull,
     };
-    let what = board_measurement::description(&file.name, &setup, &plan.pulls, &world);
+    let what = board_measurement::description(&file, &setup, &plan.pulls, &world);
     // Checks that the results can be written before anything moves.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {

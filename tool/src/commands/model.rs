@@ -3,9 +3,11 @@
 use super::answer::Json;
 use super::arguments::{self, DeviceAt, HoldingArgs, Numbers};
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::units::JointUnits;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
+use haptic_host::words::joint_units;
 use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_stability::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use std::fmt::Write;
@@ -21,7 +23,7 @@ use std::fmt::Write;
 pub struct Args {
     #[command(flatten)]
     at: DeviceAt,
-    /// Joint velocities in rad/s [default: 0]
+    /// Joint velocities in rad/s, of a slide in m/s [default: 0]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     qd: Option<Numbers>,
     /// Normal of a wall, pointing out of the solid, of any length
@@ -68,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
-    let mut text = heading + &readable(&report, &q, &qd, &walls);
+    let mut text = heading + &readable(&report, &q, &qd, &walls, &device.description.units());
     if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
         text.push_str(&compare_holding(&device, &q, only, args.holding.admissible)?);
     }
@@ -78,9 +80,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// The document of `--json`: the inputs, so that the result can be computed again, and the result.
 #[derive(serde::Serialize)]
 struct Document<'a> {
-    /// Joint angles, rad.
+    /// Joint angles, rad; travels of slides, m.
     q: Vec<f64>,
-    /// Joint velocities, rad/s.
+    /// Joint velocities, rad/s; of slides, m/s.
     qd: Vec<f64>,
     /// Unit normals of the walls, d entries each.
     normals: Vec<Vec<f64>>,
@@ -138,8 +140,13 @@ fn requested_walls(
         .collect()
 }
 
-fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> String {
+fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce], units: &[&JointUnits]) -> String {
     let mut text = String::new();
+    let [travel, speed, torque] = [
+        joint_units(units, |joint| joint.travel),
+        joint_units(units, |joint| joint.speed),
+        joint_units(units, |joint| joint.torque),
+    ];
     let mut line = |name: &str, unit: &str, value: String| {
         let mut lines = value.lines();
         let _ = writeln!(text, "  {name:<30}{:<8}{}", unit, lines.next().unwrap_or("none"));
@@ -147,14 +154,14 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
             let _ = writeln!(text, "  {:<38}{more}", "");
         }
     };
-    line("joint angles q", "rad", format_row(q));
+    line(if travel == "m" { "joint travels q" } else { "joint angles q" }, &travel, format_row(q));
     if qd.iter().any(|value| *value != 0.0) {
-        line("joint velocities", "rad/s", format_row(qd));
+        line("joint velocities", &speed, format_row(qd));
     }
     line("tip", "m", format_row(&report.position));
-    line("Jacobian J", "m/rad", format_matrix(&report.jacobian));
-    line("mass matrix M", "kg m²", format_matrix(&report.mass));
-    line("bias c + g", "N m", format_row(&report.bias));
+    line("Jacobian J", &joint_units(units, |joint| joint.jacobian), format_matrix(&report.jacobian));
+    line("mass matrix M", &joint_units(units, |joint| joint.inertia), format_matrix(&report.mass));
+    line("bias c + g", &torque, format_row(&report.bias));
     line("condition of J, of M", "", format_row(&[report.condition.jacobian, report.condition.mass]));
     line("mass felt at the tip", "kg", format_row(&report.perception.tip));
     line("largest over smallest of these", "", format_row(&[report.perception.ratio]));
@@ -186,8 +193,8 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("z rendered", "N", format_row(&report.z_r));
     line("z admissible", "", format_row(&report.z_a));
     line("feed-forward force fa", "", format_row(&report.f_a));
-    line("torque without feed-forward", "N m", format_row(&report.torque_without_feed_forward));
-    line("torque by (4), g in z", "N m", format_row(&report.torque));
+    line("torque without feed-forward", &torque, format_row(&report.torque_without_feed_forward));
+    line("torque by (4), g in z", &torque, format_row(&report.torque));
     text.push('\n');
     text.push_str(&feed_forward_benefit(report));
     if let Some(push) = sideways_push(report) {

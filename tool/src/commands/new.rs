@@ -17,6 +17,7 @@ use std::path::PathBuf;
 /// The numbers of a device are examples that run on the simulated board. docs/devices.md explains how to find your own.
 /// A scene has one wall, in front of the home pose of --device: well within the range that is predicted stable there
 /// and within the motors, and so soft that its force ripples by at most 0.1 N under a hand.
+/// `paddles` is short for `paddles-2`, `chain` for `chain-3`: the number counts joints.
 /// --from converts a model in URDF or MJCF to a device of the mechanism `chain` (docs/files.md).
 #[derive(clap::Args)]
 pub struct Args {
@@ -65,10 +66,14 @@ impl ValueEnum for FileKind {
         &ALL
     }
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(match self {
-            Self::Device(kind) => kind.spec().label,
-            Self::Scene => "scene",
-        }))
+        Some(match self {
+            // The name in device files stands for the example that differs most from the other mechanisms.
+            Self::Device(kind @ (Kind::Paddles2 | Kind::Chain3)) => {
+                PossibleValue::new(kind.spec().label).alias(kind.spec().name)
+            }
+            Self::Device(kind) => PossibleValue::new(kind.spec().label),
+            Self::Scene => PossibleValue::new("scene"),
+        })
     }
 }
 

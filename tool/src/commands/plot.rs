@@ -2,10 +2,12 @@
 
 use super::answer::Pictures;
 use super::port::counted;
+use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
+use haptic_host::link::columns;
 use haptic_host::words::short;
 use haptic_predict::plausible::scene::contact_limits_at;
 use haptic_show::plot::signals::{Analysis, Request, View, draw, panels};
@@ -114,8 +116,8 @@ fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> R
     let distance = column("distance_m")?;
     let touched: Vec<&Vec<f64>> = recording.rows.iter().filter(|row| row[distance] < 0.0).collect();
     let mean = |column: usize| touched.iter().map(|row| row[column]).sum::<f64>() / touched.len() as f64;
-    let joints = (0..file.spec().joints).map(|joint| column(&format!("q{joint}_rad")));
-    let q: Vec<f64> = joints.map(|column| column.map(mean)).collect::<Result<_, _>>()?;
+    let joints = columns(Fields(Field::Angle.bit()), &file.description.units(), 0);
+    let q: Vec<f64> = joints.iter().map(|joint| column(&joint.label).map(mean)).collect::<Result<_, _>>()?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
     Ok(contact_limits_at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
 }

@@ -6,8 +6,9 @@ use serde_json::json;
 
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
 ///
-/// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung by some degrees about its
-/// starting position. A real board arms only after this check has passed with its device at its home.
+/// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung by some degrees or
+/// millimetres about its starting position. A real board arms only after this check has passed with its device at its
+/// home.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

@@ -2,6 +2,7 @@
 
 use super::answer::Json;
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_host::error::Failure;
@@ -93,6 +94,7 @@ pub fn state_in_words(state: State) -> &'static str {
         State::Disarmed => "disarmed (motors off, the device moves freely)",
         State::Armed => "armed",
         State::CheckingPolarity => "checking motor polarity",
+        State::Homing => "homing: pushing a joint to its stop",
         State::Fault => "fault (motors off until it is cleared)",
     }
 }
@@ -142,8 +144,8 @@ pub fn fault_without_remedy(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
-/// Warns on standard error if the present rules protect less than those before.
-pub fn warn_of_weaker_rules(before: &Rules, now: &Rules) {
+/// Warns on standard error if the present rules protect less than those before; `units` are the device's.
+pub fn warn_of_weaker_rules(before: &Rules, now: &Rules, units: &[&JointUnits]) {
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
         haptic_host::tell!(
             "the board no longer watches its host: if this tool is killed or its cable pulled, the motors stay on"
@@ -157,9 +159,11 @@ pub fn warn_of_weaker_rules(before: &Rules, now: &Rules) {
             short(was)
         );
     }
-    for (joint, (was, is)) in before.limits.torque.iter().zip(now.limits.torque).enumerate() {
-        if is > *was {
-            haptic_host::tell!("the torque limit of joint {joint} is now {} N m, before {}", short(is), short(*was));
+    let [was, is] = [before, now].map(|rules| rules.limits.in_units(units).torque);
+    for (joint, (was, is)) in was.into_iter().zip(is).enumerate() {
+        if is > was {
+            let unit = units.get(joint).map_or("N m", |units| units.torque);
+            haptic_host::tell!("the torque limit of joint {joint} is now {} {unit}, before {}", short(is), short(was));
         }
     }
 }

@@ -11,6 +11,7 @@ use clap::{Args as ClapArgs, ValueEnum};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
+use haptic_host::words::joint_units;
 use haptic_predict::boards::BoardKind;
 use haptic_predict::plausible::{FileWarning, WithWarnings, warn};
 use haptic_show::plot::range::{Contents, draw};
@@ -238,9 +239,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sweep = args.continued.sweep("range", &question)?;
     let why = if args.why { Some(limiting_effects(&prediction, &q, &normals, &sweep)?) } else { None };
     let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
+    let unit = joint_units(&file.description.units(), |joint| joint.travel);
     let has_picture = args.pictures.is_requested();
     if let Some(why) = why.as_ref().filter(|_| has_picture) {
-        let under = subtitle(&args, &q, &normals, range.area_ratio);
+        let under = subtitle(&args, &unit, &q, &normals, range.area_ratio);
         let title = format!("{}: reduction of the stiffest wall by each effect", file.name);
         let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
@@ -257,7 +259,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 ),
                 None => format!("{}: stable walls, predicted", file.name),
             },
-            subtitle: subtitle(&args, &q, &normals, range.area_ratio),
+            subtitle: subtitle(&args, &unit, &q, &normals, range.area_ratio),
             range: &complete,
             passivity: passivity.as_ref(),
             washout_hz: args.washout,

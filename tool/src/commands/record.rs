@@ -3,7 +3,7 @@
 use super::force::ForceOption;
 use super::port::Port;
 use super::stream::{Options, follow, parse_positive};
-use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::board::telemetry::{Field, Fields, RowShape};
 use haptic_host::error::Failure;
 use haptic_host::link::{fields, max_rows_per_second};
 use std::path::PathBuf;
@@ -64,8 +64,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(rate) => rate,
         None => {
             let rate_hz = f64::from(board.details()?.rate_hz);
-            let axes = board.device()?.map_or(0, |device| device.axes());
-            max_rows_per_second(board.info().board.as_str(), fields, axes, rate_hz)
+            let shape = RowShape::of(board.device()?.as_ref());
+            max_rows_per_second(board.info().board.as_str(), fields, shape, rate_hz)
         }
     };
     let options = Options {

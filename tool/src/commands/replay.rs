@@ -22,10 +22,10 @@ pub struct Args {
 }
 
 fn describe(difference: &Difference) -> String {
-    let Difference { step, time_s, joint, recorded, replayed, steps_of_precision } = difference;
+    let Difference { step, time_s, joint, recorded, replayed, unit, steps_of_precision } = difference;
     let precision = counted(steps_of_precision, "step");
     format!(
-        "step {step}, {time_s:.4} s, joint {joint}: recorded {recorded} N m, replayed {replayed} N m ({precision} of single precision)"
+        "step {step}, {time_s:.4} s, joint {joint}: recorded {recorded} {unit}, replayed {replayed} {unit} ({precision} of single precision)"
     )
 }
 

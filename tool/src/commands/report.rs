@@ -39,7 +39,8 @@ pub struct Args {
     /// File for the page
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: where the scene's wall is touched, or the device file's home]
+    /// Joint angles in rad, travels in m, such as 2.4,0.7 [default: where the scene's wall is touched, or the device
+    /// file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
     /// Normal of the wall, of any length [default: the scene's, or the direction with the largest benefit of the

@@ -48,7 +48,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     haptic_host::tell!("writing flash: the board pauses for up to a second");
     let before = board.rules()?;
     restore(&mut board, &ready)?;
-    warn_of_weaker_rules(&before, &board.rules()?);
+    let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
+    warn_of_weaker_rules(&before, &board.rules()?, &units);
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.method {

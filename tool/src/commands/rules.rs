@@ -4,9 +4,14 @@ use super::arguments::words_parser;
 use super::port::{OnBoard, counted, short, warn_of_weaker_rules};
 use clap::builder::TypedValueParser;
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
+use haptic_host::link::{Board, BoardError};
+use haptic_host::words::joint_units;
 use serde_json::json;
 
 /// Show or change the limits and rules that the board enforces
@@ -17,7 +22,7 @@ use serde_json::json;
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
-    /// Joint torques in N m, one per joint
+    /// Joint torques in N m, of a slide its force in N, one per joint
     #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     torque: Vec<f32>,
     /// Motor currents in A, one per joint
@@ -26,7 +31,7 @@ pub struct Args {
     /// Motor currents that may flow without a time limit, in A, one per joint
     #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     continuous_current: Vec<f32>,
-    /// Joint speeds in rad/s, one per joint
+    /// Joint speeds in rad/s, of a slide in m/s, one per joint
     #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     speed: Vec<f32>,
     /// Mean power into the hand in W
@@ -91,14 +96,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(device) => device.axes(),
         None => usize::from(board.details()?.axes).min(before.limits.torque.len()),
     };
+    let turning = [JointUnits::of(false); MAX_JOINTS];
+    let own = device.as_ref().map(|device| device.mechanism.units());
+    let units = own.as_deref().unwrap_or(&turning[..joints]);
     let owner = device.as_ref().map_or("the board", |device| device.name.as_str()).to_string();
     let owner = (owner.as_str(), joints);
     let mut rules = before;
     let limits = &mut rules.limits;
-    set_per_joint(owner, "torque", &args.torque, &mut limits.torque)?;
+    let scaled = |given: &[f32], by: fn(&JointUnits) -> f32| -> Vec<f32> {
+        given.iter().enumerate().map(|(i, value)| value * units.get(i).map_or(1.0, |units| by(units))).collect()
+    };
+    set_per_joint(owner, "torque", &scaled(&args.torque, |units| units.lever), &mut limits.torque)?;
     set_per_joint(owner, "current", &args.current, &mut limits.current)?;
     set_per_joint(owner, "continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
-    set_per_joint(owner, "speed", &args.speed, &mut limits.speed)?;
+    set_per_joint(owner, "speed", &scaled(&args.speed, |units| 1.0 / units.lever), &mut limits.speed)?;
     set_per_joint(owner, "index-period", &args.index_period, &mut rules.index_period)?;
     limits.power = args.power.unwrap_or(limits.power);
     limits.tip_force = args.tip_force.unwrap_or(limits.tip_force);
@@ -108,24 +119,39 @@ pub fn run(args: Args) -> Result<(), Failure> {
     rules.host_seconds = args.host_seconds.unwrap_or(rules.host_seconds);
     rules.passivity = args.passivity.unwrap_or(rules.passivity);
     if rules != before {
-        board.set_rules(&rules)?;
+        set_rules(&mut board, &rules, units)?;
     }
     let now = board.rules()?;
-    warn_of_weaker_rules(&before, &now);
+    warn_of_weaker_rules(&before, &now, units);
     if !args.torque.is_empty() {
-        device.iter().for_each(|device| warn_of_useless_limits(device, &now.limits));
+        device.iter().for_each(|device| warn_of_useless_limits(device, &now.limits.in_units(units)));
     }
-    args.on.answer(as_json(&now, joints), &rules_in_words(&now, joints))
+    let now = Rules { limits: now.limits.in_units(units), ..now };
+    args.on.answer(as_json(&now, joints), &rules_in_words(&now, units))
 }
 
-/// Warns about torque limits that have no effect, because they are above the motor's own limit.
+/// Sets the rules, and describes a refused limit in the units of its joint.
+fn set_rules(board: &mut Board, rules: &Rules, units: &[&JointUnits]) -> Result<(), Failure> {
+    match board.set_rules(rules) {
+        Err(BoardError::Refused(Refusal::BadLimit(bad))) => {
+            let units = bad.joint.and_then(|joint| units.get(usize::from(joint)));
+            let mut words = String::from("the board refuses: ");
+            bad.write(units.copied().unwrap_or(&JointUnits::REVOLUTE), &mut words).map_err(Failure::impossible)?;
+            Err(Failure::impossible(words))
+        }
+        other => Ok(other?),
+    }
+}
+
+/// Warns about torque limits, in the joints' units, that have no effect, because they are above the motor's own limit.
 fn warn_of_useless_limits(device: &Device<f32>, limits: &Limits) {
     for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
         let Some(motor) = joint.motor else { continue };
         let max = motor.torque_constant * motor.max_current.min(limits.current[index]);
         if limit > max {
+            let unit = JointUnits::of(device.mechanism.is_prismatic(index)).torque;
             haptic_host::tell!(
-                "the motor of joint {index} gives at most {} N m, so its limit of {} N m has no effect",
+                "the motor of joint {index} gives at most {} {unit}, so its limit of {} {unit} has no effect",
                 short(max),
                 short(limit)
             );
@@ -165,7 +191,10 @@ fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
     })
 }
 
-fn rules_in_words(rules: &Rules, joints: usize) -> String {
+fn rules_in_words(rules: &Rules, units: &[&JointUnits]) -> String {
+    let joints = units.len();
+    let torque_unit = joint_units(units, |joint| joint.torque);
+    let speed_unit = joint_units(units, |joint| joint.speed);
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
@@ -179,13 +208,17 @@ fn rules_in_words(rules: &Rules, joints: usize) -> String {
         [0, 0, 0] => "not watched".into(),
         periods => format!("every {} counts, 0 without index pulses", join_values(&periods, joints)),
     };
-    let [torque, current, continuous_current, speed] =
-        [torque, current, continuous_current, speed].map(|values| join_values(values, joints));
+    let [torque, current, continuous_current, speed] = [torque, current, continuous_current, speed].map(|values| {
+        // Limits of slides are products with a lever, which are not round.
+        let text =
+            values.iter().zip(units).map(|(value, of)| if of.lever == 1.0 { value.to_string() } else { short(*value) });
+        text.collect::<Vec<_>>().join(", ")
+    });
     format!(
-        "torque              {torque} N m\n\
+        "torque              {torque} {torque_unit}\n\
          current             {current} A\n\
          continuous current  {continuous_current} A\n\
-         speed               {speed} rad/s\n\
+         speed               {speed} {speed_unit}\n\
          power into the hand {power} W\n\
          force at the tip    {tip_force} N of walls, springs and fields\n\
          supply              {bus_min} to {bus_max} V\n\

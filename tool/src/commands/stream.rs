@@ -94,7 +94,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// Streams the board's telemetry to its destination until it ends.
 pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Failure> {
     let rate_hz = f64::from(board.details()?.rate_hz);
-    let axes = board.device()?.map_or(0, |device| device.axes());
+    let device = board.device()?;
+    let sensed = device.as_ref().map_or(0, |device| device.sensed.len());
+    let units = device.map(|device| device.mechanism.units()).unwrap_or_default();
     let divider = (rate_hz / options.rate).round().clamp(1.0, f64::from(u32::MAX)) as u32;
     let rows_per_second = rate_hz / f64::from(divider);
     if (rows_per_second - options.rate).abs() > 1e-3 * options.rate {
@@ -104,7 +106,11 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
             nth_step(divider)
         );
     }
-    let columns = columns(options.fields, axes);
+    let columns = columns(options.fields, &units, sensed);
+    if columns.is_empty() {
+        let reason = "the board's device has no encoders without motors, so there is nothing to stream";
+        return Err(Failure::wrong(reason).remedy("choose other --fields"));
+    }
     let about = options.file.map(|_| About::read(board, divider)).transpose()?;
     let about = about.map(|about| if options.plain { about.without_comments() } else { about });
     let stop = interrupt::watch();

@@ -12,7 +12,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, PortSpec};
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
-use haptic_host::words::digits;
+use haptic_host::words::{digits, joint_units};
 use haptic_predict::measure::board_measurement;
 use haptic_predict::plausible::scene::{contact_limits_at, file_warnings};
 use haptic_predict::tune::measured::{self, MeasuredWall};
@@ -54,7 +54,8 @@ struct Search {
     /// Device file (TOML)
     #[arg(required = true)]
     device: Option<PathBuf>,
-    /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
+    /// Joint angles in rad, travels in m, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device
+    /// file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
     /// Normal of the wall, of any length [default: the normal of the wall of --scene]
@@ -233,7 +234,7 @@ fn search(args: Search) -> Result<(), Failure> {
         measured: best_measured.as_ref(),
         scene_measured: scene_measured.as_ref(),
     };
-    let mut text = readable(&document);
+    let mut text = readable(&document, &joint_units(&file.description.units(), |joint| joint.travel));
     if let Some(out) = &args.out {
         let _ = writeln!(text, "written to {}", out.display());
     }
@@ -357,7 +358,7 @@ fn settings_in_words(settings: &Settings) -> String {
     text
 }
 
-fn readable(document: &Document<'_>) -> String {
+fn readable(document: &Document<'_>, unit: &str) -> String {
     let Document { answer, margins, .. } = document;
     let best: &TunedWall = &answer.best;
     let mut text = String::new();
@@ -365,7 +366,7 @@ fn readable(document: &Document<'_>) -> String {
         let _ = writeln!(text, "{content}");
     };
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
-    line(format!("{}: q = ({}) rad, n = ({})", document.device, joined(document.q), joined(document.normal)));
+    line(format!("{}: q = ({}) {unit}, n = ({})", document.device, joined(document.q), joined(document.normal)));
     line(format!(
         "  the stiffest wall        {:>10} N/m{}   {}",
         best.settings.stiffness,

@@ -33,13 +33,16 @@ fn open_page() -> (View, Browser, Tab) {
     (view, browser, tab)
 }
 
-/// Ends what the page does by itself, resets the simulation, and shows all controls.
+/// Ends what the page does by itself, resets the simulation, shows all controls, and waits until they are laid out and
+/// the range is computed for the pose at rest.
 fn as_an_expert(browser: &mut Browser, tab: &Tab) {
     browser.evaluate(tab, "$('rail').checked = false; $('start-over').click(); touched = true; unfold(true)");
     browser.wait_until(
         tab,
         "view.last.hand === null && view.walls.every(wall => wall.feed_forward !== 'off' || !view.hello.smooth)",
     );
+    browser.evaluate(tab, "view.settled = [view.pictures + 10, view.sweeps + 5]");
+    browser.wait_until(tab, "view.pictures > view.settled[0] && view.sweeps > view.settled[1] && view.planeFrame");
 }
 
 /// Lets the page treat its simulated board as a real one, with the motors off.

@@ -1,7 +1,7 @@
 //! A strict simulated board in this process, and a connection that loses messages.
 
 use super::{board, shipped_device};
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::render::scene::Scene;
 use haptic_host::link::{Board, Session, Wire};
 use haptic_sim::{BoardOptions, SharedBoard, Support};
@@ -17,10 +17,11 @@ pub fn verify_motors(description: &mut Description) {
     }
 }
 
-/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
+/// Returns a board that can be armed: 1 kHz, a verified five-bar with an encoder without a motor in free space, homed, polarity checked.
 pub fn strict_board() -> (SharedBoard, Session) {
     let mut file = shipped_device("coupled-five-bar");
     verify_motors(&mut file.description);
+    file.description.sensed[0] = Some(Encoder { counts_per_turn: 4_000.0, offset: 0.0, inverted: false });
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     let (shared, board) = board(&file, options);
     let mut session = Session::of(board);

@@ -4,6 +4,7 @@
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped_device};
+use haptic_bridge::model::units::JointUnits;
 use haptic_host::link::{Losses, Row, columns};
 use haptic_sim::Hand;
 use std::fmt::Write as _;
@@ -95,7 +96,10 @@ struct Columns {
 
 impl Columns {
     fn new() -> Self {
-        let labels: Vec<String> = columns(fields("all").unwrap(), 2).into_iter().map(|column| column.label).collect();
+        let labels: Vec<String> = columns(fields("all").unwrap(), &[&JointUnits::REVOLUTE; 2], 0)
+            .into_iter()
+            .map(|column| column.label)
+            .collect();
         let at = |name: &str| labels.iter().position(|label| label == name).expect(name);
         Self { force: at("force_n"), torque: [at("torque0_n_m"), at("torque1_n_m")], state: at("state") }
     }

@@ -1,7 +1,7 @@
 //! A wrong file is refused with exit code 2 and one message per mistake with file name, line and remedy. Tables list
 //! likely mistakes. In addition, the tests damage every line of every shipped file.
 
-use crate::common::{Folder, refusal, run, toml_files, type_lines};
+use crate::common::{Folder, refusal, run, shipped_path, toml_files, type_lines};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::FileError;
@@ -125,6 +125,10 @@ const DEVICE_MISTAKES: &str = r#"
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 100⏎inertia = 1.0⏎ => :44:1: => the modes of joint 0 swing with more inertia than the links have about this joint at home
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 0⏎inertia = 1.0e-9⏎ => :45:13: => `frequency` | more than zero
     limits = [-1.0, 3.0]⏎ => limits = [-1.0, 3.0]⏎transmission = "stiff"⏎ => :34:16: => `transmission` | rigid
+    [home] => [[sensed]]⏎name = "grip"⏎⏎[home] => :48:1: => `counts_per_turn` | [[sensed]] 0 | missing | add `counts_per_turn = 4096`
+    [home] => [[sensed]]⏎counts_per_turn = 0⏎⏎[home] => :49:19: => `counts_per_turn` | [[sensed]] 0 | more than zero
+    [home] => [[sensed]]⏎counts_per_turn = 9⏎limits = [0, 1]⏎⏎[home] => :50:1: => `limits` | [[sensed]] 0
+    [home] => [[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎counts_per_turn = 9⏎[[sensed]]⏎⏎[home] => :54:1: => 4 [[sensed]] tables | 3 at most
     base = 0.05 => base = 0.5 => :5:1: => cannot close | check the lengths
     base = 0.05 => base = -0.05 => :6:8: => `base`
     com = 0.03 => com = 1e25 => :1:1: => overflows the board's 32-bit floats
@@ -208,6 +212,16 @@ fn a_wrong_scene_is_refused_with_line_and_remedy() {
     let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
     let message = check_error(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
     assert!(message.contains("at most 8 [[wall]] tables"), "{message}");
+}
+
+#[test]
+fn a_handle_of_a_paddle_is_refused() {
+    for name in ["upright-hapkit", "two-paddles"] {
+        let shipped = std::fs::read_to_string(shipped_path(&format!("{name}.toml"))).expect("a shipped file");
+        let text = replace_once(&shipped, "[home]", "[handle]\nmass = 0.01\n\n[home]");
+        let error = DeviceFile::parse(&text, "device").expect_err("a paddle with a handle").to_string();
+        assert!(error.lines().count() == 1 && error.contains("paddles take no [handle]"), "{error}");
+    }
 }
 
 #[test]

@@ -395,6 +395,24 @@ fn the_tip_force_limit_has_the_documented_maximum() {
     }
 }
 
+#[test]
+fn a_device_with_more_encoders_than_inputs_is_refused_before_the_board_is_asked() {
+    let options = haptic_sim::BoardOptions { encoders: 3, ..haptic_sim::BoardOptions::default() };
+    let mut board = haptic_sim::ready_board(&crate::common::shipped_device("coupled-five-bar"), options).unwrap();
+    let listener = haptic_sim::door::tcp(([127, 0, 0, 1], 0).into(), haptic_sim::door::Patience::default()).unwrap();
+    let port = listener.port.clone();
+    std::thread::spawn(move || {
+        let stop = std::sync::atomic::AtomicBool::new(false);
+        haptic_sim::server::serve(&mut board, &listener, haptic_sim::server::Pace::AsFastAsItCan, &stop);
+    });
+    haptic(&["device", &shipped_path("touch.toml"), "--port", &port])
+        .assert()
+        .code(2)
+        .stderr(contains("touch.toml:109: the board has 3 encoder inputs, of which 3 joints leave 0 for 3 [[sensed]]"));
+    let lack = "a board has 3 encoder inputs, 3 too few for the joints and 3 [[sensed]]: remove 3 of them";
+    haptic(&["check", &shipped_path("touch.toml")]).assert().success().stdout(contains(lack));
+}
+
 /// A board with another protocol version. The board understands only the requests that never change.
 struct OtherVersionBoard {
     port: String,

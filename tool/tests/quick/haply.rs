@@ -215,6 +215,13 @@ fn a_binary_frame_is_a_message() {
     program.0.send(Message::binary(push.into_bytes())).unwrap();
     assert_eq!(program.frame()["inverse3"][0]["status"]["started"], true);
     assert_eq!(server.board.lock().status().state, State::Armed);
+    // A quarter turn about the vertical.
+    server.board.lock().device_mut().set_sensed_counts([1_000, 0, 0]);
+    let frame = program.request(&json!({}));
+    for (part, expected) in [("w", 0.5_f64.sqrt()), ("x", 0.0), ("y", 0.0), ("z", 0.5_f64.sqrt())] {
+        let found = number(&frame, &format!("/wireless_verse_grip/0/state/orientation/{part}"));
+        assert!((found - expected).abs() < 1e-6, "{part}: {frame}");
+    }
 }
 
 #[test]

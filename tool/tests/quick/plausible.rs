@@ -220,7 +220,7 @@ fn swapped_device_and_scene_files_are_reported() {
 #[test]
 fn a_new_file_passes_check() {
     let folder = Folder::new();
-    for kind in ["paddle", "five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
+    for kind in ["paddle", "paddles", "five-bar", "five-bar-turret", "parallelogram", "serial-3r", "chain", "delta"] {
         let (path, drawing) = (folder.path(&format!("{kind}.toml")), folder.path(&format!("{kind}.svg")));
         type_lines(&format!("new {kind} -o {path}"), &[]);
         let (code, out, err) = run(&["check", &path, "--svg", &drawing]);

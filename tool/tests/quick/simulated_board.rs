@@ -3,10 +3,11 @@
 use crate::common::prelude::*;
 use crate::common::strict::verify_motors;
 use crate::common::{board, plane_wall, shipped_device};
+use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::mechanism::FiveBar;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_host::link::BoardError;
+use haptic_host::link::{BoardError, fields};
 use haptic_sim::{Hand, HandLoop, SimulatedBoard};
 use nalgebra::Vector2;
 use std::time::Duration;
@@ -52,6 +53,33 @@ fn a_board_describes_itself() {
     assert_eq!(details.device.as_deref(), Some("coupled-five-bar"));
     assert_eq!((details.axes, details.walls, details.real), (3, 0, false));
     assert_eq!((details.rate_hz, details.carrier_hz, details.delay_samples), (20_000.0, 20_000.0, 0.5));
+}
+
+/// Returns the last row of the stream of encoders without motors.
+fn sensed_row(shared: &SharedBoard, board: &mut Board) -> Vec<f64> {
+    board.start_stream(fields("sensed").unwrap(), 20).unwrap();
+    shared.lock().run(0.01);
+    let rows = board.rows(Duration::from_millis(10)).unwrap();
+    board.stop_stream().unwrap();
+    rows.last().expect("a row").values.clone()
+}
+
+#[test]
+fn encoders_without_motors_are_streamed_from_home() {
+    let mut file = device_file();
+    let encoder = Encoder { counts_per_turn: 4_000.0, offset: 0.5, inverted: true };
+    file.description.sensed = [Some(encoder), Some(Encoder { offset: 0.0, inverted: false, ..encoder }), None];
+    let (shared, mut board) = board(&file, BoardOptions::default());
+    shared.lock().device_mut().set_sensed_counts([1_000, 500, 9]);
+    let quarter = f64::from(std::f32::consts::FRAC_PI_2);
+    let near = |row: &[f64], expected: [f64; 2]| {
+        assert!(row.len() == 2 && row.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{row:?}");
+    };
+    near(&sensed_row(&shared, &mut board), [0.5 - quarter, 0.5 * quarter]);
+    board.home().unwrap();
+    near(&sensed_row(&shared, &mut board), [0.5, 0.0]);
+    shared.lock().device_mut().set_sensed_counts([0, 1_500, 9]);
+    near(&sensed_row(&shared, &mut board), [0.5 + quarter, quarter]);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
-    Cogging, Description, Encoder, EncoderAt, Joint, Link, Stribeck, StructuralMode, Transmission,
+    Cogging, Description, Encoder, EncoderAt, Homing, Joint, Link, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, PowerStage, SimulatedDevice, Waypoint};
@@ -37,7 +37,9 @@ fn paddle(viscous: f64, coulomb: f64) -> Description {
         links: [Link::default(); 4],
         joints: [joint(1e-3, viscous, coulomb), Joint::default(), Joint::default()],
         handle_mass: 0.0,
+        sensed: [None; 3],
         home: Some([0.0; 3]),
+        homing: Homing::Hand,
     }
 }
 
@@ -51,7 +53,9 @@ fn five_bar() -> Description {
         links: [arm, arm, rod, rod],
         joints: [joint(8e-4, 0.0, 0.0), joint(3e-4, 0.0, 0.0), Joint::default()],
         handle_mass: 0.05,
+        sensed: [None; 3],
         home: Some([2.3, 0.84, 0.0]),
+        homing: Homing::Hand,
     }
 }
 

@@ -511,3 +511,36 @@ fn every_kind_of_device_can_be_viewed() {
         view.arm(0);
     }
 }
+
+/// The page draws every wall, and every tip at the end of a link. The hand leads the tip along each of the first two task
+/// coordinates, and leaves the third alone.
+#[test]
+fn the_page_draws_chains_deltas_and_paddles() {
+    for name in ["touch", "planar-arm", "yoke", "two-paddles", "fader", "upright-hapkit", "falcon-like"] {
+        let file = shipped_device(name);
+        let task = file.spec().task;
+        let scene = SceneFile::load(Path::new(&shipped_path(&format!("scenes/{name}/wall.toml"))), task);
+        let world = World::simulate(file, Some(scene.unwrap().scene().unwrap())).unwrap();
+        let simulated = world.simulated.clone().unwrap();
+        let tip = || simulated.lock().device().tip();
+        let mut view = TestView::in_command(world, None);
+        let walls = &view.page(0).walls;
+        let walls = walls.as_array().expect("a list of walls");
+        assert!(!walls.is_empty() && walls.iter().all(|wall| wall["outline"].is_object()), "{name}: {walls:?}");
+        let geometry = view.page(0).picture["geometry"].clone();
+        let place = |value: &Value| [0, 1].map(|axis| value[axis].as_f64().unwrap());
+        let ends: Vec<_> = geometry["bars"].as_array().unwrap().iter().map(|bar| place(&bar[1])).collect();
+        let more = geometry["more"].as_array().unwrap().iter().map(|tip| place(&tip[0]));
+        for [x, y] in [place(&geometry["tip"])].into_iter().chain(more) {
+            assert!(ends.iter().any(|end| (end[0] - x).hypot(end[1] - y) < 1e-4), "{name}: {x}, {y} of {geometry}");
+        }
+        let before = tip();
+        view.send(0, json!({"do": "hand", "at": [before[0] + 0.004, before[1] + 0.004]}));
+        view.play(0.6);
+        let after = tip();
+        for axis in 0..task.min(2) {
+            assert!(after[axis] - before[axis] > 0.001, "{name}: {before:?}, {after:?}");
+        }
+        assert!((after[2] - before[2]).abs() < 0.002, "{name}: {before:?}, {after:?}");
+    }
+}

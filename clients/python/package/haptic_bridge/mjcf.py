@@ -3,6 +3,7 @@
 import math
 import os
 import tomllib
+from collections.abc import Sequence
 from typing import Any
 
 __all__ = ["from_device", "joint_angles"]
@@ -14,8 +15,9 @@ def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
     """Returns the MJCF of a device file. The hinges q0, q1, .. are the actuated joints, and the site `tip` is the tip.
 
     Each actuated joint has a motor actuator with gear 1 (N m). Joint friction is included; transmissions, limits and
-    motors are not. A slightly compliant constraint closes a closed linkage. `joint_angles` returns the angles of its
-    passive hinges.
+    motors are not. Slightly compliant constraints close a closed linkage. `joint_angles` returns the angles of its
+    passive hinges. A delta's platform is carried by three slides along the base's axes, and one body with two hinges
+    stands for a pair of rods.
     """
     with open(path, "rb") as file:
         device = tomllib.load(file)
@@ -27,6 +29,7 @@ def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
         "parallelogram": _parallelogram,
         "paddles": _paddles,
         "chain": _chain,
+        "delta": _delta,
     }[device["mechanism"]]
     bodies, equality = build(device)
     gravity = (list(device.get("gravity", [])) + [0.0, 0.0, 0.0])[:3]
@@ -42,7 +45,7 @@ def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
 
 
 def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
-    """Returns the angle of every hinge of `from_device` with the actuated joints at q (rad)."""
+    """Returns the angle of every hinge (rad) and the travel of every slide (m) of `from_device` with the actuated joints at q."""
     with open(path, "rb") as file:
         device = tomllib.load(file)
     q = [float(angle) for angle in q]
@@ -67,7 +70,47 @@ def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
         tip = (c[0] + along * e[0] - height * e[1], c[1] + along * e[1] + height * e[0])
         angles["distal0"] = math.atan2(tip[1] - c[1], tip[0] - c[0]) - one
         angles["distal1"] = math.atan2(tip[1] - d[1], tip[0] - d[0]) - two
+    if kind == "delta":
+        geometry = device["geometry"]
+        azimuths = _azimuths(device)
+        place = _delta_tip(geometry, azimuths, q)
+        angles |= dict(zip(("x", "y", "z"), place, strict=True))
+        for index, (azimuth, angle) in enumerate(zip(azimuths, q, strict=True)):
+            # The rod in the frame of the leg, whose y axis is across the leg.
+            cosine, sine = math.cos(azimuth), math.sin(azimuth)
+            reach = geometry["base"] + geometry["upper"] * math.cos(angle)
+            out = cosine * place[0] + sine * place[1] + geometry["platform"] - reach
+            up = place[2] - geometry["upper"] * math.sin(angle)
+            angles[f"rod{index}"] = math.atan2(up, out) - angle
+            angles[f"lean{index}"] = math.asin((cosine * place[1] - sine * place[0]) / geometry["fore"])
     return angles
+
+
+def _azimuths(device: dict[str, Any]) -> list[float]:
+    return [float(angle) for angle in device["geometry"].get("azimuth", [0.0, 2 * math.pi / 3, 4 * math.pi / 3])]
+
+
+def _delta_tip(geometry: dict[str, Any], azimuths: list[float], q: list[float]) -> list[float]:
+    """Returns the tip of a delta (m), which is at a rod's length from three centres."""
+    centres = []
+    for azimuth, angle in zip(azimuths, q, strict=True):
+        out = geometry["base"] - geometry["platform"] + geometry["upper"] * math.cos(angle)
+        centres.append((out * math.cos(azimuth), out * math.sin(azimuth), geometry["upper"] * math.sin(angle)))
+    one, two = ([far - near for far, near in zip(centre, centres[0], strict=True)] for centre in centres[1:])
+    normal = _cross(one, two)
+    area = _dot(normal, normal)
+    mixed = [b * _dot(one, one) - a * _dot(two, two) for a, b in zip(one, two, strict=True)]
+    centre = [value / (2 * area) for value in _cross(mixed, normal)]
+    height = geometry.get("assembly", 1) * math.sqrt((geometry["fore"] ** 2 - _dot(centre, centre)) / area)
+    return [p + c + height * n for p, c, n in zip(centres[0], centre, normal, strict=True)]
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def _numbers(*values: float) -> str:
@@ -145,6 +188,35 @@ def _chain(device: dict[str, Any]) -> tuple[str, str]:
         place = f'pos="{_numbers(*origin)}" quat="{turned}"'
         inner = f'<body name="link{index}" {place}>{hinge}{inertial}{inner}</body>'
     return inner, ""
+
+
+def _delta(device: dict[str, Any]) -> tuple[str, str]:
+    geometry, (arm, rod, platform) = device["geometry"], device["link"]
+    upper, fore = geometry["upper"], geometry["fore"]
+    mass = 2 * rod["mass"]
+    across = mass * fore**2 / 12
+    # MuJoCo requires some inertia about a slender rod's own axis.
+    pair = (
+        f'<inertial pos="{_numbers(fore / 2, 0, 0)}" mass="{mass!r}" diaginertia="{_numbers(1e-6 * across, across, across)}"/>'
+    )
+    own = f'<inertial pos="{_numbers(arm["com"], 0, 0)}" mass="{arm["mass"]!r}" diaginertia="{_numbers(*[arm["inertia"]] * 3)}"/>'
+    bodies, ends, equality = "", "", ""
+    for index, azimuth in enumerate(_azimuths(device)):
+        hinges = _hinge(f"rod{index}", "0 -1 0", None) + _hinge(f"lean{index}", Z, None)
+        rods = _body(f"rods{index}", upper, f'{hinges}{pair}<site name="end{index}" pos="{_numbers(fore, 0, 0)}"/>')
+        leg = _body(f"arm{index}", geometry["base"], _hinge(f"q{index}", "0 -1 0", device["joint"][index]) + own + rods)
+        bodies += f'<body name="leg{index}" euler="0 0 {azimuth!r}">{leg}</body>'
+        end = _numbers(geometry["platform"] * math.cos(azimuth), geometry["platform"] * math.sin(azimuth), 0)
+        ends += f'<site name="platform{index}" pos="{end}"/>'
+        equality += (
+            f'<connect site1="platform{index}" site2="end{index}" solref="0.0002 1" solimp="0.99999 0.99999 1e-6"/>'
+        )
+    slides = "".join(
+        f'<joint name="{name}" type="slide" axis="{axis}"/>' for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", Z))
+    )
+    total = platform["mass"] + device.get("handle", {}).get("mass", 0.0)
+    point = f'<inertial pos="0 0 0" mass="{total!r}" diaginertia="1e-15 1e-15 1e-15"/>'
+    return f'{bodies}<body name="platform">{slides}{point}{ends}<site name="tip"/></body>', equality
 
 
 def _serial(device: dict[str, Any]) -> tuple[str, str]:

@@ -139,11 +139,11 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     };
     let here = task_part::<M, N>(&m.tip(&pose));
     // The guard trips at higher joint speeds, and the board then renders no torque.
-    let fastest = f64::from(Limits::default().speed[0]);
+    let fastest = Limits::default().in_units(&device.mechanism.units()).speed;
     for velocity in hand_motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);
         let qd = m.inverse(&pose, &velocity);
-        if qd.iter().any(|rate| rate.abs() > fastest) {
+        if qd.iter().zip(fastest).any(|(rate, fastest)| rate.abs() > f64::from(fastest)) {
             continue;
         }
         let force = remaining_force(&m.velocity_torque(&pose, &qd));

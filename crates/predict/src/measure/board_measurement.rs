@@ -10,10 +10,11 @@ use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError};
+use haptic_host::words::joint_units;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use std::path::Path;
 
-/// Largest difference of a joint angle at which two poses count as equal, rad.
+/// Largest difference of a joint angle at which two poses count as equal, rad (of a slide times its lever).
 const SAME_POSE_RAD: f64 = 0.02;
 
 /// A measurement of a board with its device file, its results so far and the file that keeps them.
@@ -53,7 +54,10 @@ impl BoardMeasurement<'_> {
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
-        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE_RAD) {
+        }
+        let apart = self.progress.q.iter().zip(&q).map(|(then, now)| (then - now).abs());
+        let units = self.file.description.units();
+        if apart.zip(&units).any(|(apart, units)| apart > SAME_POSE_RAD * f64::from(units.lever)) {
             return Err(MeasureError::Moved);
         }
         begun(&mut prepared, &q)?;
@@ -141,7 +145,7 @@ pub fn control_loop(setup: &MeasurementSetup, info: &Info, details: &Details) ->
 
 /// Returns a description of the measurement. Only a measurement with the same description continues a progress file.
 #[must_use]
-pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
+pub fn description(file: &DeviceFile, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
         // Removes the rounding error of the unit vector.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
@@ -166,8 +170,8 @@ pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &
         pull_mm = format!("of at least {pull_mm}");
     }
     let mut what = format!(
-        "{name} along {along} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
-        setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
+        "{} along {along} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
+        file.name, setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
     );
     let without: Vec<usize> = (0..setup.walls.len()).filter(|wall| !setup.walls[*wall].feed_forward).collect();
     if !without.is_empty() {
@@ -178,7 +182,8 @@ pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &
     }
     let World { q, friction, ideal_drive, counts, grip } = *world;
     if let Some(q) = q {
-        what.push_str(&format!(", at q = {} rad", listed(&q)));
+        let unit = joint_units(&file.description.units(), |joint| joint.travel);
+        what.push_str(&format!(", at q = {} {unit}", listed(&q)));
     }
     if friction != Friction::All {
         what.push_str(&format!(", friction: {}", format!("{friction:?}").to_lowercase()));

@@ -40,15 +40,16 @@ impl Excitation {
         longest_pull: f64,
     ) -> Self {
         let joints = &file.description.joints[..device.row.len()];
+        let limits = rules.limits.in_units(&file.description.units());
         let (mut quantum, mut friction, mut force) = (0.0, 0.0, f64::INFINITY);
         for (i, joint) in joints.iter().enumerate() {
             if let Some(encoder) = joint.encoder {
                 quantum += device.row[i].abs() * std::f64::consts::TAU / encoder.counts_per_turn.abs();
             }
             friction += joint.coulomb * device.unit_motion[i].abs();
-            let mut torque = f64::from(rules.limits.torque[i]);
+            let mut torque = f64::from(limits.torque[i]);
             if let Some(motor) = joint.motor {
-                let current = motor.max_current.min(f64::from(rules.limits.current[i]));
+                let current = motor.max_current.min(f64::from(limits.current[i]));
                 torque = torque.min(motor.torque_constant.abs() * current);
             }
             let lever = torques[0][i].abs().max(torques[1][i].abs());

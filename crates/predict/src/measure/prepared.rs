@@ -7,6 +7,7 @@ use super::walls::{ASIDE_DISTANCE, LONGEST_PULL, Layout, complement, scene};
 use super::{MeasureError, MeasurementSetup};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -34,7 +35,8 @@ const SOFT_HOLD: f64 = 0.05;
 /// Largest angular frequency of a hold per control rate, rad/s per Hz: half the frequency of the paper's stiffest wall.
 const FIRM_HOLD: f64 = 0.2;
 
-/// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
+/// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad (of a
+/// slide times its lever).
 /// Another pose with the same tip position is farther away unless it is nearly singular.
 const SAME_POSE_RAD: f64 = 0.03;
 /// Singular value of a Jacobian below which the value counts as zero, m.
@@ -65,6 +67,7 @@ pub struct PreparedBoard<'a> {
     setup: MeasurementSetup,
     interrupted: &'a dyn Fn() -> bool,
     q: Vec<f64>,
+    units: Vec<&'static JointUnits>,
     tip: DVector<f64>,
     /// Unit vector along the pulls, d entries; for one wall its normal.
     direction: DVector<f64>,
@@ -137,8 +140,9 @@ impl<'a> PreparedBoard<'a> {
         // Leaves the board unchanged if not even the soft hold can be measured.
         excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold for this rate, cutoff and inertia")?;
 
+        let units = file.description.units().to_vec();
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
-        let columns = columns(request, spec.joints);
+        let columns = columns(request, &units, 0);
         let column = |field, axis| columns.iter().position(|column| (column.field, column.axis) == (field, axis));
         let tip_columns = (0..spec.task).filter_map(|axis| column(Field::Tip, axis)).collect();
         let state_column = column(Field::State, 0).unwrap_or_default();
@@ -149,6 +153,7 @@ impl<'a> PreparedBoard<'a> {
             board,
             interrupted,
             q,
+            units,
             tip,
             force_ratio: set.force(&direction).dot(&direction),
             direction,
@@ -199,9 +204,9 @@ impl<'a> PreparedBoard<'a> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
         for (joint, (began, turned)) in self.q.iter().zip(&(&self.joint_per_tip_motion * off)).enumerate() {
-            let by = f64::from(now.q[joint]) - began;
-            if by.abs() > SAME_POSE_RAD + JACOBIAN_FACTOR * turned {
-                return Err(MeasureError::Away { joint, by });
+            let (by, units) = (f64::from(now.q[joint]) - began, self.units[joint]);
+            if by.abs() > SAME_POSE_RAD * f64::from(units.lever) + JACOBIAN_FACTOR * turned {
+                return Err(MeasureError::Away { joint, by, unit: units.travel });
             }
         }
         Ok(())

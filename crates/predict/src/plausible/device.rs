@@ -9,6 +9,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::units::SLIDE_LEVER;
 use haptic_bridge::with_mechanism;
 use haptic_host::device_file::{DeviceFile, includes_body_inertia};
 use haptic_host::words::{digits, listed, with_unit};
@@ -205,7 +206,8 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
     let mut warnings = Vec::new();
     let mut warning =
         |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
-    if joint.inertia > IMPLAUSIBLE_JOINT_INERTIA {
+    // A slide's inertia is a mass.
+    if joint.inertia > IMPLAUSIBLE_JOINT_INERTIA && !joint.prismatic {
         let text = format!(
             "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
             digits(joint.inertia),
@@ -219,7 +221,17 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
         warning("", "limits", full_turns(&format!("a limit of joint {index}"), angle));
     }
     if let Some(encoder) = joint.encoder {
-        if encoder.counts_per_turn < LEAST_COUNTS {
+        if joint.prismatic {
+            // As coarse at the lever as the least counts of a turn.
+            if encoder.counts_per_turn * f64::from(SLIDE_LEVER) < LEAST_COUNTS {
+                let text = format!(
+                    "the encoder of joint {index} has {} counts per metre, {} each: count after x4 decoding",
+                    digits(encoder.counts_per_turn / TAU),
+                    with_unit(TAU / encoder.counts_per_turn, "m")
+                );
+                warning("encoder", "counts_per_metre", text);
+            }
+        } else if encoder.counts_per_turn < LEAST_COUNTS {
             let text = format!(
                 "the encoder of joint {index} has {} counts per turn, {:.1} degrees each: count after x4 decoding, times \
                  the gear ratio, at the joint ({} lines are {} counts without a gear)",
@@ -266,7 +278,9 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     let mut warning =
         |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
     let Some(motor) = joint.motor else { return warnings };
-    let torque = torque_at_rest(&motor, joints);
+    let (torque, units) = (torque_at_rest(&motor, joints), joint.units());
+    let (lever, constant) =
+        (f64::from(units.lever), if joint.prismatic { "force_constant" } else { "torque_constant" });
     let volts = motor.resistance * motor.max_current;
     if volts > LARGEST_SUPPLY_V {
         let text = format!(
@@ -277,8 +291,11 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     }
     if motor.back_emf > 0.0 && !(0.5..2.0).contains(&(motor.back_emf / motor.torque_constant)) {
         let text = format!(
-            "back_emf of joint {index} is {} V s/rad and torque_constant {} N m/A: in SI both are the same number",
-            motor.back_emf, motor.torque_constant
+            "back_emf of joint {index} is {} {} and {constant} {} {}/A: in SI both are the same number",
+            motor.back_emf,
+            if joint.prismatic { "V s/m" } else { "V s/rad" },
+            motor.torque_constant,
+            units.torque
         );
         warning("motor", "back_emf", text);
     }
@@ -289,36 +306,45 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
     if seconds > LARGEST_MOTOR_TIME_S && !carries_body {
         let text = format!(
-            "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
+            "`{constant}` of joint {index}, {} {}/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
              inertia over its square), and motors take hundredths: write the motor's constant times the gear ratio, and as \
              inertia the rotor's times the ratio squared",
-            motor.torque_constant
+            motor.torque_constant, units.torque
         );
-        warning("motor", "torque_constant", text);
+        warning("motor", constant, text);
     }
     if let Some(wound) =
-        joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > LARGEST_WIND_UP)
+        joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > LARGEST_WIND_UP * lever)
     {
-        let text = format!(
-            "the transmission of joint {index} winds up by {:.0} degrees at the largest torque of its motor ({}): \
-             stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
-            wound.to_degrees(),
-            with_unit(torque, "N m")
-        );
+        let most = with_unit(torque, units.torque);
+        let text = match joint.prismatic {
+            true => format!(
+                "the transmission of joint {index} stretches by {} at the largest force of its motor ({most}): stiffness is \
+                 in N/m",
+                with_unit(wound, "m")
+            ),
+            false => format!(
+                "the transmission of joint {index} winds up by {:.0} degrees at the largest torque of its motor ({most}): \
+                 stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
+                wound.to_degrees()
+            ),
+        };
         warning("transmission", "stiffness", text);
     }
     if joint.coulomb > torque {
         let text = format!(
-            "the friction of joint {index} ({} N m) exceeds the torque of its motor ({}): the joint cannot move",
+            "the friction of joint {index} ({} {}) exceeds the torque of its motor ({}): the joint cannot move",
             joint.coulomb,
-            with_unit(torque, "N m")
+            units.torque,
+            with_unit(torque, units.torque)
         );
         warning("", "coulomb", text);
-    } else if joint.viscous * TAU > torque {
+    } else if joint.viscous * TAU * lever > torque {
+        let speed = if joint.prismatic { "0.5 m/s" } else { "one turn per second" };
         let text = format!(
-            "viscous friction of joint {index} needs {} at one turn per second, more than its motor has ({})",
-            with_unit(joint.viscous * TAU, "N m"),
-            with_unit(torque, "N m")
+            "viscous friction of joint {index} needs {} at {speed}, more than its motor has ({})",
+            with_unit(joint.viscous * TAU * lever, units.torque),
+            with_unit(torque, units.torque)
         );
         warning("", "viscous", text);
     }
@@ -349,14 +375,15 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     }
     for (joint, weight) in weight(&device, home).iter().enumerate().take(joints) {
         let Some(motor) = device.joints[joint].motor else { continue };
-        let torque = torque_at_rest(&motor, joints);
+        let (torque, units) = (torque_at_rest(&motor, joints), description.joints[joint].units());
         if weight.abs() > torque {
             let text = format!(
                 "the device's weight needs {} at joint {joint} at home, but its motor has {}: the device falls when armed",
-                with_unit(weight.abs(), "N m"),
-                with_unit(torque, "N m")
+                with_unit(weight.abs(), units.torque),
+                with_unit(torque, units.torque)
             );
-            warnings.push(FileWarning::new(key("joint", Some(joint), "motor", "torque_constant"), text));
+            let constant = if description.joints[joint].prismatic { "force_constant" } else { "torque_constant" };
+            warnings.push(FileWarning::new(key("joint", Some(joint), "motor", constant), text));
         }
     }
     if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {

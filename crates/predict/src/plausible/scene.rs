@@ -311,6 +311,7 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
     let normal = surface.contact::<Libm, 3>(&tip).normal;
     let normal = &normal.as_slice()[..pose.task];
     let mut limited = device.clone();
+    let limits = limits.in_units(&device.mechanism.units());
     let most = limits.torque.iter().zip(&limits.current);
     for (motor, (torque, current)) in limited.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()).zip(most) {
         let allowed = f64::from(*current).min(f64::from(*torque) / motor.torque_constant.abs());

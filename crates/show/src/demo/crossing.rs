@@ -122,8 +122,8 @@ pub(crate) fn press(
         board.disarm()?;
     }
     let lost = board.losses().missing;
-    let axes = board.device()?.map_or(0, |device| device.axes());
-    Ok((moments_of_rows(&rows, &columns(selected, axes), rate_hz), lost, fault))
+    let units = board.device()?.map(|device| device.mechanism.units()).unwrap_or_default();
+    Ok((moments_of_rows(&rows, &columns(selected, &units, 0), rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.

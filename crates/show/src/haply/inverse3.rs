@@ -5,13 +5,14 @@ use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{CLEARING, Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_host::frame::Axes;
+use haptic_host::frame::{Axes, rotation};
 use haptic_host::link::{Board, BoardError, LinkError, Session};
 use haptic_host::words::{commands_to_calls, fault_and_remedy};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
-/// Id of the grip that programs expect; it never turns, and its buttons are never pressed.
+/// Id of the grip that programs expect; its buttons are never pressed.
 const GRIP_ID: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
 const DEVICE_TYPE: u32 = 4;
@@ -255,6 +256,12 @@ impl Inverse3 {
         };
         let each = |[a0, a1, a2]: [f64; 3]| json!({"a0": a0, "a1": a1, "a2": a2});
         let degrees = |radians: [f32; 3]| each(radians.map(|angle| f64::from(angle).to_degrees()));
+        // The grip's rotation in the program's axes.
+        let columns = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+        let axes = Matrix3::from_columns(&columns.map(|axis| Vector3::from(self.basis.to_program(axis))));
+        let axes = axes * self.axes.matrix();
+        let turned = Rotation3::from_matrix_unchecked(axes * rotation(&self.last.sensed) * axes.transpose());
+        let grip_orientation = UnitQuaternion::from_rotation_matrix(&turned);
         let upright = json!({"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0});
         let zero = json!({"x": 0.0, "y": 0.0, "z": 0.0});
         let origin = json!({"position": zero, "rotation": upright, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}});
@@ -301,7 +308,9 @@ impl Inverse3 {
                 "battery_voltage": 3.7,
                 "buttons": {"a": false, "b": false, "c": false},
                 "hall": 0,
-                "orientation": upright,
+                "orientation": {
+                    "w": grip_orientation.w, "x": grip_orientation.i, "y": grip_orientation.j, "z": grip_orientation.k,
+                },
             },
             "status": {"ready": true, "connected": true, "awake": true},
         });

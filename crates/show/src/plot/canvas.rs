@@ -167,11 +167,11 @@ impl Canvas {
         self.write(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
-    /// Draws small text centred on a point, turned clockwise by `degrees`, with a white outline over lines.
-    pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
+    /// Draws text centred on a point, turned clockwise by `degrees`, with a white outline over lines.
+    pub fn haloed_text(&mut self, at: (f64, f64), degrees: f64, size: f64, colour: &str, text: &str) {
         let text = escape(text);
         self.write(format_args!(
-            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL_TEXT}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
+            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{size}" text-anchor="middle" fill="{colour}" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
     }

@@ -12,7 +12,7 @@ use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::vectors::padded_to;
-use haptic_host::words::with_unit;
+use haptic_host::words::{joint_units, with_unit};
 use haptic_stability::analysis::map::{MapPoint, effective_inertias, map_point_at};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
@@ -49,7 +49,8 @@ pub fn draw(
     let device = Linearised::holding(description, q, normal, admissible)?;
     let title = format!("{name}: a push along n, and the inertia in every direction");
     let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
-    let pose_line = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
+    let unit = joint_units(&description.units(), |joint| joint.travel);
+    let pose_line = format!("q = ({}) {unit}, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
     let page = paper.page(SCREEN_WIDTH, EDGE_MARGIN);
     let heading = page.heading(&title, &[pose_line]);
     let side = (page.wide - 3.0 * EDGE_MARGIN) / 2.0;

@@ -3,10 +3,15 @@
 use super::axes::PlotArea;
 use super::canvas::{Canvas, Stroke};
 use super::colour::INK;
-use haptic_stability::skeleton::{Point, Skeleton};
+use haptic_stability::skeleton::{Point, Skeleton, Slide};
 
-/// Draws the linkage as thin bars that stay readable on any background, with square base pivots and a round tip.
+/// Draws the linkage as thin bars that stay readable on any background, with square base pivots and a round tip. Rails
+/// are dashed.
 pub fn draw_linkage(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {
+    for rail in skeleton.slides.iter().map(Slide::rail) {
+        let ends = rail.map(|p| frame.pixel(p.0, p.1));
+        canvas.polyline(&ends, Stroke { colour: INK, width: 1.2, dash: "4 3" });
+    }
     for (colour, width) in [("white", 4.6), (INK, 1.8)] {
         for bar in &skeleton.bars {
             let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));

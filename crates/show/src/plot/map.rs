@@ -6,6 +6,7 @@
 //! the singularities does not use up the colours. Ellipse axes are square roots of Λ's eigenvalues.
 
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea};
@@ -18,7 +19,7 @@ use haptic_host::words::with_unit;
 use haptic_stability::analysis::cut::{Cut, Fineness, Tile};
 use haptic_stability::analysis::map::MapPoint;
 use haptic_stability::analysis::pose::PoseError;
-use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton};
+use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton_in};
 
 /// Minimum share of the area that the colour scale covers.
 const COVERED_SHARE: f64 = 0.95;
@@ -75,12 +76,17 @@ pub fn chart(
 ) -> Result<Chart, PoseError> {
     let cut = Cut::new(description, normal, admissible)?;
     let spec = description.kind.spec();
-    let home = description.home.and_then(|home| skeleton(description, &home[..spec.joints]));
+    let is_paddles = matches!(description.kind, Kind::Paddles2 | Kind::Paddles3);
+    // A map of several paddles has one arc length on each axis, so the paddles cannot be drawn in it.
+    let home = description
+        .home
+        .filter(|_| !is_paddles)
+        .and_then(|home| skeleton_in(description, &home[..spec.joints], &cut.view));
     let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
     let (step, top, highest) = colour_scale(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
-    let (low, high) = linkage::bounding_box(tips.chain(home.iter().flat_map(link_ends)));
+    let (low, high) = linkage::bounding_box(tips.chain(home.iter().flat_map(Skeleton::points)));
     let (across, up) = (high.0 - low.0, high.1 - low.1);
     // On a screen the page is as wide as the plane requires; on paper the plane is as wide as the page allows.
     let usual = PLANE_SIDE / across.max(up);
@@ -100,8 +106,8 @@ pub fn chart(
     let frame = PlotArea {
         at: (page.left, top_edge),
         size: (across * pixels, up * pixels),
-        x: Axis::new(format!("x{plane}"), "m", low.0, high.0),
-        y: Axis::new(format!("y{plane}"), "m", low.1, high.1),
+        x: Axis::new(format!("{}{plane}", cut.view.names[0]), "m", low.0, high.0),
+        y: Axis::new(format!("{}{plane}", cut.view.names[1]), "m", low.1, high.1),
     };
     let bottom = frame.at.1 + frame.size.1;
     let axis_note = if Turret::of(description.kind).is_some() { " (such as joint 0's axis)" } else { "" };
@@ -137,10 +143,6 @@ pub fn chart(
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
     Ok(Chart { picture, frame, top })
-}
-
-fn link_ends(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
-    skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
 }
 
 /// Returns the tick step and the top of the colour scale, and the highest share.

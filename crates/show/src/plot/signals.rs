@@ -9,9 +9,10 @@ use crate::recorder::Recording;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::control::ARM_SECONDS;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::{Choice, Failure};
-use haptic_host::link::columns;
+use haptic_host::link::{columns, unit_of};
 use haptic_host::words::{counted, with_unit};
 use haptic_stability::analysis::amplitudes::{RIPPLE_HZ, SpectralLine, Spectrum, spectrum};
 pub use paper::draw;
@@ -223,8 +224,11 @@ const MIN_RELATIVE_AMPLITUDE: f64 = 1e-6;
 
 /// Returns name and unit of the column with this label; an unknown column has no unit.
 pub(crate) fn column_quantity(label: &str) -> Quantity {
-    let known = columns(Fields::ALL, MAX_JOINTS);
-    let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
+    let known = [&JointUnits::REVOLUTE, &JointUnits::PRISMATIC].into_iter().find_map(|units| {
+        let columns = columns(Fields::ALL, &[units; MAX_JOINTS], 3);
+        columns.iter().find(|column| column.label == label).map(|column| unit_of(column.field, units))
+    });
+    let unit = known.unwrap_or_default();
     let unit = if label == "time_s" { "s" } else { unit };
     // The "n" in "rendered_n" is the unit, which is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));

@@ -51,8 +51,10 @@ impl About {
         }
         // Writes the complete scene and rules at the start of the recording, for programs.
         text.push_str(&format!("scene {}\n", json(&scene)?));
-        let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
-        text.push_str(&format!("rules {}\n", json(&limit_to_joints(&rules, joints)?)?));
+        let units = device.as_ref().map(|device| device.mechanism.units()).unwrap_or_default();
+        let joints = if units.is_empty() { details.axes.into() } else { units.len() };
+        let shown = Rules { limits: rules.limits.in_units(&units), ..rules };
+        text.push_str(&format!("rules {}\n", json(&limit_to_joints(&shown, joints)?)?));
         // Writes the settings also in the bit-exact form of a backup, because `haptic replay` computes with them.
         let mut settings = BTreeMap::new();
         settings.extend(device.and_then(|device| Some(("device", without_value(SavedSetting::of(&device)?)))));

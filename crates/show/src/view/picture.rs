@@ -1,8 +1,10 @@
 //! The state at one moment as a page draws it: positions and numbers.
 //!
-//! A device in space is drawn in the xy plane, which is the plane of the linkage at joint 0 = 0.
+//! A device in space is drawn in the plane of its first two task coordinates, which is the plane of a linkage on a turret
+//! at joint 0 = 0. Positions of a paddle or a slide are drawn on their tracks.
 
 use super::scope::Ring;
+use crate::track::Track;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
@@ -28,7 +30,8 @@ pub const FIELDS: Fields = Fields(
         | Field::Saturated.bit()
         | Field::Energy.bit()
         | Field::Counts.bit()
-        | Field::State.bit(),
+        | Field::State.bit()
+        | Field::Sensed.bit(),
 );
 
 /// Time over which ripple, saturation and power are computed, s.
@@ -55,12 +58,16 @@ pub struct Geometry {
     pub tip: Flat,
     /// Links, from end to end, m.
     pub bars: Vec<[Flat; 2]>,
+    /// Rails of prismatic joints, from end to end, m.
+    pub rails: Vec<[Flat; 2]>,
     /// Pivots on the base, m.
     pub base: Vec<Flat>,
     /// Effective inertia.
     pub ellipse: Option<Ellipse>,
     /// Force of the motors at the tip, N.
     pub force: Flat,
+    /// Tips of further paddles, m, with the forces of the motors there, N.
+    pub more: Vec<[Flat; 2]>,
     /// Anchor of each spring of the scene: its point, or the nearest point of its line, m.
     pub springs: Vec<Flat>,
 }
@@ -87,6 +94,8 @@ pub struct Numbers {
     pub inertia: Option<Flat>,
     /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
+    /// Angles of the encoders without motors, rad.
+    pub sensed: Vec<f64>,
 }
 
 /// Returns the wall that the tip is deepest in or nearest to, and its normal.
@@ -134,6 +143,7 @@ impl<'a> Newest<'a> {
         &self,
         device: &Device<f64>,
         links: Option<&Description>,
+        tracks: &[Track],
         scene: &Scene<f64>,
         rows_hz: f64,
     ) -> (Geometry, Numbers) {
@@ -142,10 +152,11 @@ impl<'a> Newest<'a> {
         let tip = self.vector(Field::Tip, joints);
         let pose = TaskPose::of(&device.mechanism, &q).and_then(TaskPose::regular).ok();
         let task = device.mechanism.kind().spec().task;
-        let place = if task == 1 { paddle_tip(links, &q, &tip) } else { padded(&tip) };
-        let mut geometry = Geometry { tip: place, ..Geometry::default() };
+        let places: Vec<Flat> = tracks.iter().zip(&tip).map(|(track, tip)| track.place(*tip)).collect();
+        let mut geometry = Geometry { tip: places.first().copied().unwrap_or(padded(&tip)), ..Geometry::default() };
         if let Some(drawn) = links.and_then(|links| skeleton(links, &q)) {
             geometry.bars = drawn.bars.iter().map(|bar| [bar.from.into(), bar.to.into()]).collect();
+            geometry.rails = drawn.slides.iter().map(|slide| slide.rail().map(Into::into)).collect();
             geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
         }
         geometry.springs = scene.springs.iter().map(|spring| padded(&spring_anchor(spring, &tip[..task]))).collect();
@@ -167,19 +178,24 @@ impl<'a> Newest<'a> {
                 .map(|axis| share_matching(self.recent_values(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
+            sensed: self.vector(Field::Sensed, device.sensed.len()),
             ..Numbers::default()
         };
+        geometry.more = places.iter().skip(1).map(|place| [*place, [0.0; 2]]).collect();
         let Some(pose) = pose else { return (geometry, numbers) };
         let torque = DVector::from_vec(self.vector(Field::Torque, joints));
         let force = pose.inverse.tr_mul(&torque).rows(0, task).into_owned();
-        if task > 1 {
+        if tracks.is_empty() {
             geometry.force = padded(force.as_slice());
             let l = &pose.operational;
             geometry.ellipse = Some(ellipse(l[(0, 0)], l[(0, 1)], l[(1, 1)]));
         }
-        // The force of a paddle acts along its arc.
-        if let ([along], r @ 1e-9..) = (force.as_slice(), place[0].hypot(place[1])) {
-            geometry.force = [-along * place[1] / r, along * place[0] / r];
+        // On a track the force acts along it.
+        let along = tracks.iter().zip(&tip).zip(&force);
+        let drawn = along.map(|((track, tip), force)| track.direction(*tip).map(|entry| force * entry));
+        for (to, drawn) in [&mut geometry.force].into_iter().chain(geometry.more.iter_mut().map(|[_, f]| f)).zip(drawn)
+        {
+            *to = drawn;
         }
         if let Some((_, normal)) = wall {
             let n = DVector::from_fn(task, |i, _| normal[i]);
@@ -196,12 +212,6 @@ fn spring_anchor(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
     let Spring { point, direction, .. } = spring;
     let along: f64 = tip.iter().enumerate().map(|(i, tip)| (tip - point[i]) * direction[i]).sum();
     core::array::from_fn(|i| point[i] + along * direction[i])
-}
-
-/// Returns the drawn position of a paddle's tip, from its skeleton, because its task coordinate is an arc length.
-fn paddle_tip(links: Option<&Description>, q: &[f64], tip: &[f64]) -> Flat {
-    let drawn = links.and_then(|links| skeleton(links, q));
-    drawn.map_or([tip.first().copied().unwrap_or(0.0), 0.0], |drawn| drawn.tip.into())
 }
 
 /// Returns the half axes of a symmetric 2 x 2 matrix, and the direction of the larger.
@@ -326,7 +336,7 @@ mod tests {
     #[test]
     fn the_force_of_a_paddle_is_drawn_along_its_arc() {
         let file = DeviceFile::parse(include_str!("../../../../devices/hapkit-paddle.toml"), "hapkit").unwrap();
-        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, 1));
+        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, &file.description.units(), 0));
         let (length, angle) = (file.description.geometry[0], 0.3_f64);
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
@@ -337,7 +347,8 @@ mod tests {
         }));
         let newest = Newest::of(&ring, &columns);
         let scene = Scene { task: 1, ..Scene::default() };
-        let (geometry, _) = newest.moment(&device, Some(&file.description), &scene, 1000.0);
+        let tracks = Track::of(&device, Some(&file.description));
+        let (geometry, _) = newest.moment(&device, Some(&file.description), &tracks, &scene, 1000.0);
         let [x, y] = geometry.force;
         assert!((x + 2.0 * angle.sin()).abs() < 1e-5 && (y - 2.0 * angle.cos()).abs() < 1e-5, "{x} {y}");
     }
@@ -350,7 +361,7 @@ mod tests {
         let pose = TaskPose::of(&device.mechanism, demo.q()).unwrap();
         let n = DVector::from_column_slice(&demo.normal);
         let torque = pose.jacobian.tr_mul(&n) * 4.0;
-        let columns = columns(FIELDS, 2);
+        let columns = columns(FIELDS, &demo.file.description.units(), 0);
         let mut ring = Ring::new(columns.len(), 10);
         ring.push(columns.iter().map(|column| match column.field {
             Field::Angle => demo.pose[column.axis] as f32,
@@ -360,7 +371,7 @@ mod tests {
         }));
         let scene = demo.scene([pose.position[0], pose.position[1]], FeedForward::Off).cast::<f64>();
         let newest = Newest::of(&ring, &columns);
-        let (geometry, numbers) = newest.moment(&device, Some(&demo.file.description), &scene, 1000.0);
+        let (geometry, numbers) = newest.moment(&device, Some(&demo.file.description), &[], &scene, 1000.0);
         for axis in 0..2 {
             assert!((geometry.force[axis] - 4.0 * n[axis]).abs() < 1e-5, "{:?}", geometry.force);
             assert!((geometry.bars[3][1][axis] - geometry.tip[axis]).abs() < 1e-6, "the links end at the tip");

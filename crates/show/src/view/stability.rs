@@ -2,7 +2,7 @@
 //! a browser, it is computed at once on request, in some milliseconds.
 
 use haptic_bridge::render::scene::{FeedForward, Scene};
-use haptic_host::words::{counted, digits, listed, with_unit};
+use haptic_host::words::{counted, digits, joint_units, listed, with_unit};
 use haptic_predict::plausible::scene::count_along;
 use haptic_stability::analysis::control_loop::{Mode, TorquePath};
 use haptic_stability::analysis::flexible::Hand;
@@ -264,7 +264,12 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         }
     });
     let list = |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ");
-    sentences.push(format!("Pose: joints at {} rad, this wall along ({}).", list(&request.q), list(&request.normal)));
+    let unit = joint_units(&subject.device.mechanism.units(), |joint| joint.travel);
+    sentences.push(format!(
+        "Pose: joints at {} {unit}, this wall along ({}).",
+        list(&request.q),
+        list(&request.normal)
+    ));
     let mut left_out = vec!["one-sided contact", "dry friction", "encoder steps", "the motors' limits"];
     if scene.walls.len() > 1 {
         left_out.push("the scene's other walls");

@@ -20,7 +20,8 @@ use super::picture::{FIELDS, Newest, nearest_wall};
 use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
 use super::world::{World, lead_hand};
-use haptic_bridge::board::telemetry::Field;
+use crate::track::Track;
+use haptic_bridge::board::telemetry::{Field, RowShape};
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
@@ -89,6 +90,8 @@ pub struct Stage {
     last_sweep: Duration,
     last_poll: Duration,
     device: Device<f64>,
+    /// Drawn places of task coordinates that have no plane.
+    tracks: Vec<Track>,
     scene: Scene<f64>,
     /// Scene and pose when the world was first opened; the pose (rad) only if it is simulated.
     first: Scene<f32>,
@@ -148,15 +151,15 @@ impl Stage {
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
-        let device = device.cast::<f64>();
+        let (shape, device) = (RowShape::of(Some(&device)), device.cast::<f64>());
         let (first, scene) = (scene.clone(), check_scene(&scene, &device)?);
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let link_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
+        let link_hz = max_rows_per_second(name, FIELDS, shape, rate_hz);
         let divider = (rate_hz / limit_hz.unwrap_or(link_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
-        let columns = columns(FIELDS, device.axes());
+        let columns = columns(FIELDS, &device.mechanism.units(), shape.sensed);
         // No page holds a key yet.
         board.disarm()?;
         board.keep_alive();
@@ -172,6 +175,7 @@ impl Stage {
             last_poll: now,
             subject: Subject::on_board(device.clone(), world.file.as_ref()),
             path: torque_path(world.board.info(), &details),
+            tracks: Track::of(&device, world.file.as_ref().map(|file| &file.description)),
             device,
             scene,
             first,
@@ -563,7 +567,13 @@ impl Stage {
         if is_possible {
             self.recreate(id, &self.first.clone(), pose);
         } else {
-            self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
+            self.refuse(
+                id,
+                &format!(
+                    "a pose is {} angles (rad; of slides travels, m) that the device can have",
+                    self.device.axes()
+                ),
+            );
         }
     }
 

@@ -184,7 +184,8 @@ pub fn press_while_switching() -> Result<(Demo, Vec<Moment>), Failure> {
     Ok((demo, moments[first..].to_vec()))
 }
 
-/// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
+/// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip. Across the plane the hand stays
+/// where it gripped the tip.
 pub fn lead_hand(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();
@@ -196,7 +197,8 @@ pub fn lead_hand(board: &SharedBoard, goal: Option<[f64; 2]>) {
             if device.hand().position().is_none() {
                 device.set_hand(Hand::new(hand_settings(), Intent::Lead(tip), tip, now));
             }
-            device.hand_mut().lead([x, y, 0.0]);
+            let across = device.hand().goal().map_or(tip[2], |goal| goal[2]);
+            device.hand_mut().lead([x, y, across]);
         }
     }
 }

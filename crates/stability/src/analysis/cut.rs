@@ -4,11 +4,12 @@
 //! the map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
 //!
 //! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
-//! of its linkage. The redundant arm keeps the orientation that it has at home.
+//! of its linkage. Other devices in space keep joint 0 at home. The redundant arm keeps the orientation that it has at
+//! home.
 
 use super::map::{FixedCoordinate, MapPoint, Reachable, effective_inertias, map_point_at};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use crate::skeleton::{Point, Turret};
+use crate::skeleton::{Point, Turret, View};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -70,6 +71,8 @@ pub struct Cut {
     device: Device<f64>,
     reachable: Reachable,
     swept: [usize; 2],
+    /// Direction from which the plane is seen.
+    pub view: View,
     /// Text that names the held coordinate and its value; empty if no coordinate is held.
     pub caption: String,
     normal: DVector<f64>,
@@ -90,7 +93,11 @@ impl Cut {
                 let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
                 let neutral = if Turret::of(description.kind).is_some() { 0.0 } else { home[0] };
                 let angle = [neutral, home[0]].into_iter().find(allowed).unwrap_or(middle);
-                (Some(FixedCoordinate::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
+                (
+                    Some(FixedCoordinate::Joint(0, angle)),
+                    [1, 2],
+                    format!("joint 0 at {angle:.3} {}", description.units()[0].travel),
+                )
             }
             (3, _) => {
                 let phi: f64 = home.iter().sum();
@@ -104,14 +111,18 @@ impl Cut {
         };
         let turned = if let Some(FixedCoordinate::Joint(_, angle)) = held { angle } else { 0.0 };
         let (sin, cos) = turned.sin_cos();
+        let view = match spec.task {
+            3 => View::of_drawing(description)[0],
+            _ => View::of_task(description),
+        };
         let axes = match Turret::of(description.kind) {
             Some(Turret::AboutX) => [[1.0, 0.0, 0.0], [0.0, cos, sin]],
             Some(Turret::AboutY) => [[cos, 0.0, -sin], [0.0, 1.0, 0.0]],
-            None => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            None => view.in_task(description),
         };
         let reachable = Reachable::of(&device, GRID_ANGLES, held)?;
         let normal = unit_normal(normal, spec.task, spec.joints)?;
-        Ok(Self { description: *description, device, reachable, swept, caption, normal, admissible, axes })
+        Ok(Self { description: *description, device, reachable, swept, view, caption, normal, admissible, axes })
     }
 
     /// Projects a task vector onto the plane.

@@ -11,12 +11,17 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Sine of the angle between two axes below which they count as parallel.
 const PARALLEL_SINE: f64 = 1.0e-9;
+/// Share of the inertia below which a coupling of the first joint counts as zero.
+const COUPLING: f64 = 1.0e-12;
 /// Travel at which the coefficients of a prismatic joint are sampled, m.
 const SAMPLE_TRAVEL: f64 = 0.1;
 /// Number of positions of each joint at which |det J| is sampled: every 30 degrees of a turn.
 const DETERMINANT_SAMPLES: usize = 12;
 /// Share of the levers' largest product below which |det J| counts as zero.
 const LEAST_DETERMINANT: f64 = 1.0e-6;
+
+/// Coefficients of each entry of M, by the powers of the last joint but one and of the last.
+type Coefficients = [[[[f64; 5]; 5]; MAX_JOINTS]; MAX_JOINTS];
 
 /// A link in a frame whose z axis is the axis of its joint. All vectors are in the base frame with every joint at zero.
 struct Body {
@@ -48,6 +53,7 @@ pub(super) fn chain<T: Real, const N: usize>(description: &Description) -> Resul
         arc: is_arc.then(|| libm::hypot(tip_in_link[0], tip_in_link[1])),
         task: [[0.0; 3]; MAX_JOINTS],
         origin: [0.0; MAX_JOINTS],
+        is_planar: false,
         mass: MassSeries::default(),
         gravity: first.frame.tr_mul(&Vector3::from(description.gravity)).into(),
         determinant_scale: 1.0,
@@ -64,7 +70,7 @@ pub(super) fn chain<T: Real, const N: usize>(description: &Description) -> Resul
         chain.task[row] = core::array::from_fn(|column| first.frame[(axis, column)]);
         chain.origin[row] = first.origin[axis];
     }
-    chain.mass = mass_series(&chain, &bodies)?;
+    (chain.is_planar, chain.mass) = mass_series(&chain, &bodies)?;
     let largest = largest_determinant(&chain, description)?;
     chain.determinant_scale = 1.0 / largest;
     chain.determinant_floor = DETERMINANT_FLOOR * largest;
@@ -187,8 +193,43 @@ fn largest_determinant<const N: usize>(
     if largest > LEAST_DETERMINANT * levers { Ok(largest) } else { Err(DescriptionError::Task) }
 }
 
-/// Returns the coefficients of M from its samples, which determine a polynomial of the second degree exactly.
-fn mass_series<const N: usize>(chain: &Chain<f64, N>, bodies: &[Body; N]) -> Result<MassSeries<f64>, DescriptionError> {
+/// Returns the coefficients of M, and true for a planar chain.
+fn mass_series<const N: usize>(
+    chain: &Chain<f64, N>,
+    bodies: &[Body; N],
+) -> Result<(bool, MassSeries<f64>), DescriptionError> {
+    let first_order = |row: &[f64; 5]| [row[0], row[1], row[2]];
+    let (mean, [[cc, ..], [bc, bb, _], [ac, ab, aa]]) = coefficients(chain, bodies, false);
+    // A direction without inertia at all samples has none anywhere.
+    if !is_positive_definite(&mean) {
+        return Err(DescriptionError::NoInertia);
+    }
+    let mut series = MassSeries {
+        cc: cc[0][0],
+        bc: first_order(&bc[0]),
+        bb: bb[0],
+        ac: [0, 1, 2].map(|row| first_order(&ac[row])),
+        ab: [ab[0], ab[1], ab[2]],
+        aa,
+    };
+    let [_, b, c] = &chain.joints;
+    let are_parallel = N == 3 && !b.prismatic && !c.prismatic && c.cosine > 0.0 && c.sine.abs() < PARALLEL_SINE;
+    let coupling = ac.iter().chain(&ab).flatten().fold(0.0_f64, |largest, entry| largest.max(entry.abs()));
+    let is_planar = are_parallel && coupling < COUPLING * mean.trace();
+    if is_planar {
+        let (_, [.., [.., aa]]) = coefficients(chain, bodies, true);
+        series.aa = aa;
+    }
+    Ok((is_planar, series))
+}
+
+/// Returns the sum of samples of M and the coefficients of the entries of M, with the last joint first. The samples
+/// determine a polynomial of the second degree exactly. The last angle is the sum of two joints if `is_sum`.
+fn coefficients<const N: usize>(
+    chain: &Chain<f64, N>,
+    bodies: &[Body; N],
+    is_sum: bool,
+) -> (SMatrix<f64, N, N>, Coefficients) {
     // Joint N - back, whose polynomial is a constant if the chain has no joint before it.
     let samples_of = |back: usize| match N.checked_sub(back).filter(|i| *i > 0) {
         Some(i) => samples(&chain.joints[i]),
@@ -197,7 +238,8 @@ fn mass_series<const N: usize>(chain: &Chain<f64, N>, bodies: &[Body; N]) -> Res
     let mut mean = SMatrix::<f64, N, N>::zeros();
     let mut coefficients = [[[[0.0; 5]; 5]; MAX_JOINTS]; MAX_JOINTS];
     for (b, weights_b) in samples_of(2) {
-        for (c, weights_c) in samples_of(1) {
+        for (sample, weights_c) in samples_of(1) {
+            let c = if is_sum { sample - b - chain.joints[1].offset } else { sample };
             let q = core::array::from_fn(|i| if i + 1 == N { c } else { b });
             let mass = mass_at(chain, bodies, &q);
             mean += mass;
@@ -210,20 +252,7 @@ fn mass_series<const N: usize>(chain: &Chain<f64, N>, bodies: &[Body; N]) -> Res
             }
         }
     }
-    // A direction without inertia at all samples has none anywhere.
-    if !is_positive_definite(&mean) {
-        return Err(DescriptionError::NoInertia);
-    }
-    let first_order = |row: &[f64; 5]| [row[0], row[1], row[2]];
-    let [[cc, ..], [bc, bb, _], [ac, ab, aa]] = &coefficients;
-    Ok(MassSeries {
-        cc: cc[0][0],
-        bc: first_order(&bc[0]),
-        bb: bb[0],
-        ac: [0, 1, 2].map(|row| first_order(&ac[row])),
-        ab: [ab[0], ab[1], ab[2]],
-        aa: *aa,
-    })
+    (mean, coefficients)
 }
 
 /// Returns five coordinates of a joint, and for each the weights of a sample in the coefficients of 1, u, v, u² and uv.

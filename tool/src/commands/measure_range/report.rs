@@ -5,7 +5,7 @@ use crate::commands::port::counted;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_host::words::listed;
+use haptic_host::words::{joint_units, listed};
 use haptic_predict::measure::MeasurementSetup;
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::excitation::{Excitation, millimetres};
@@ -30,6 +30,8 @@ pub struct Theory {
     /// The `haptic range` command that predicts the same loop, without the option --kd.
     line: String,
     q: Vec<f64>,
+    /// Unit of `q`.
+    unit: String,
 }
 
 fn option_value(values: &[f64]) -> String {
@@ -59,7 +61,8 @@ impl Theory {
         if args.feed_forward.contains(&FeedForward::Washout) {
             let _ = write!(line, " --washout {}", args.washout);
         }
-        Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec() })
+        let unit = joint_units(&file.description.units(), |joint| joint.travel);
+        Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec(), unit })
     }
 
     /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
@@ -186,7 +189,7 @@ impl Report<'_> {
     fn describe_setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
         let (args, around) = (self.args, &self.theory.around);
         let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
-        let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
+        let mut place = format!("q = ({}) {}, n = {}", joined(&self.theory.q), self.theory.unit, normals.join(" + "));
         if let Some(parts) = args.walls.shares() {
             let _ = write!(place, ", parts {}", joined(&parts.0));
         }

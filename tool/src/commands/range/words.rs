@@ -5,7 +5,7 @@ use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic_bridge::model::description::{Description, EncoderAt, Joint};
 use haptic_bridge::render::velocity::Estimator;
-use haptic_host::words::percent;
+use haptic_host::words::{joint_units, percent};
 use haptic_stability::analysis::host::HostWall;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{
@@ -15,12 +15,12 @@ use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::why::{EffectShares, LimitPair, Limits};
 use std::fmt::Write;
 
-/// Returns two lines for titles: pose and walls, and the loop.
-pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
+/// Returns two lines for titles: pose (in `unit`) and walls, and the loop.
+pub fn subtitle(args: &Args, unit: &str, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     [
         format!(
-            "q = ({}) rad, n = {}",
+            "q = ({}) {unit}, n = {}",
             joined(q),
             normals.iter().map(|n| format!("({})", joined(n))).collect::<Vec<_>>().join(" + ")
         ),
@@ -81,7 +81,8 @@ pub fn readable(
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    let [pose, loop_line] = subtitle(args, q, normals, range.area_ratio);
+    let [pose, loop_line] =
+        subtitle(args, &joint_units(&description.units(), |joint| joint.travel), q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
     line(format!("  {loop_line}"));
     for more in optional_parts(args, description) {

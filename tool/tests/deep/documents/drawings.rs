@@ -26,13 +26,14 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
         ("serial-3r", "serial-3r"),
         ("paddles", "two-paddles"),
         ("chain", "touch"),
+        ("delta", "falcon-like"),
         ("capstan-pantograph", "capstan-pantograph"),
     ] {
         let drawing = format!("docs/drawings/{drawing}.svg");
         compare_picture(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
     }
     // The other two pictures show the coupling (next test) and a board (emulator/tests/emulated/drawing.rs).
-    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 10);
+    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 11);
     let ranges = read("docs/results/ranges.sh");
     let maps = ranges.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/"));
     let maps: Vec<&str> = maps.collect();
@@ -104,7 +105,17 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
 
 #[test]
 fn every_drawn_tip_is_at_the_models_position() {
-    for name in ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"] {
+    for name in [
+        "pantograph-mk2",
+        "fictive-five-bar-turret",
+        "phantom-premium-1.5",
+        "serial-3r",
+        "coupled-five-bar",
+        "planar-arm",
+        "yoke",
+        "touch",
+        "falcon-like",
+    ] {
         let description = shipped_device(name).description;
         let mut drawn_count = 0;
         for i in 0..200 {

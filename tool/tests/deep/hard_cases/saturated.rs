@@ -1,7 +1,6 @@
 //! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
-use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
@@ -36,7 +35,7 @@ fn row_of<M: Mechanism<f64, N>, const N: usize>(
     let mut row = Row { device: name, sines, beyond: 0.0, along: [0.0; 2], across: 0.0 };
     let mut poses = 0;
     while poses < POSES_PER_ROW {
-        let q: SVector<f64, N> = random.vector(3.1);
+        let q: SVector<f64, N> = random.pose(&m);
         let mut n: SVector<f64, N> = random.normal(M::SPEC.task);
         let pose = m.pose::<Libm>(&q);
         let r = m.regularity(&pose);
@@ -88,10 +87,8 @@ fn row_of<M: Mechanism<f64, N>, const N: usize>(
 /// Returns the rows of every mechanism with more than one direction: far from singularities, and near an elbow's
 /// singularity, where the feed-forward begins to fade.
 pub fn all_rows() -> Vec<Row> {
-    super::MECHANISMS
-    .into_iter()
-    .flat_map(|(name, file)| {
-        let mut device = shipped_device(file);
+    super::several_directions()
+    .flat_map(|(name, mut device)| {
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // The current limit is so large that only the torque limit acts.
@@ -99,7 +96,9 @@ pub fn all_rows() -> Vec<Row> {
             }
         }
         let mechanism = AnyMechanism::<f64>::new(&device).expect("a shipped device is sound");
-        haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row_of(m, name, &device, sines)))
+        // Paddles have no singularity.
+        let sines = [[0.3, 1.1], [0.05, 0.1]].into_iter().take(if name.starts_with("paddles") { 1 } else { 2 });
+        haptic_bridge::with_mechanism!(mechanism, m => sines.map(|sines| row_of(m, name, &device, sines)).collect::<Vec<_>>())
     })
     .collect()
 }

@@ -7,7 +7,6 @@ use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE_HZ, controller, pad_to_three, scene, with_encoders};
-use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
@@ -88,7 +87,7 @@ where
     let mut row = Row { device: name, terms, size: 0.0, rounding: 0.0, estimated: [0.0; 2] };
     let mut runs = 0;
     while runs < SLIDES_PER_ROW {
-        let start: SVector<f64, N> = random.vector(3.1);
+        let start: SVector<f64, N> = random.pose(&double);
         let (n, mut t): (SVector<f64, N>, SVector<f64, N>) = (random.normal(task), random.normal(task));
         let pose = double.pose::<Libm>(&start);
         let r = double.regularity(&pose);
@@ -150,13 +149,13 @@ where
     row
 }
 
-/// Returns the rows of every mechanism with more than one direction, for every choice of velocity terms.
+/// Returns the rows of every mechanism with more than one direction and velocity terms, for every choice of the terms.
 pub fn all_rows() -> Vec<Row> {
-    super::MECHANISMS
-    .into_iter()
-    .flat_map(|(name, file)| {
+    super::several_directions()
+    .filter(|(name, _)| !name.starts_with("paddles"))
+    .flat_map(|(name, device)| {
         // Leave out the weight, which would add the same torque to both results.
-        let mut device = with_encoders(&shipped_device(file));
+        let mut device = with_encoders(&device);
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })

@@ -22,6 +22,7 @@ fn place_cells(row: &Row) -> String {
         Singularity::Elbow => "elbow",
         Singularity::Axis => "axis",
         Singularity::Rods => "rods",
+        Singularity::Serial => "serial",
     };
     match row.target {
         Target::Condition(condition) => format!("{} | {what} | cond {condition:.0e}", row.device),
@@ -64,9 +65,11 @@ pub fn all_tables() -> [(&'static str, String); 10] {
     let filters = table(filters, &FILTER_ROWS, |row| {
         format!("{:e} | {}", row.ratio, digits([row.swing, row.gain, row.direct_swing, row.direct_gain]))
     });
-    let steps = "device | largest force of the hit, N | speed seen, m/s | hit, torque | press, N";
+    let steps = "device | gears | largest force of the hit, N | speed seen, m/s | hit, torque | press, N";
     let steps = table(steps, &STEP_ROWS, |row| {
-        format!("{} | {:.0} | {:.1} | {}", row.device, row.force, row.speed, digits([row.hit_error, row.rest_error]))
+        let gears = if row.geared { "1:50" } else { "none" };
+        let errors = digits([row.hit_error, row.rest_error]);
+        format!("{} | {gears} | {:.0} | {:.1} | {errors}", row.device, row.force, row.speed)
     });
     let several = "device | angle, rad | as stiff | 1e2 | 1e4 | changed by the feed-forward";
     let several = table(several, &TWO_WALL_ROWS, |row| {

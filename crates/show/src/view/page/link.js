@@ -157,7 +157,7 @@ function picture(p) {
   view.recent.push(p.trail); if (view.recent.length > 9) view.recent.shift();
   if (view.trail.length > 1500) view.trail.splice(0, view.trail.length - 1500);
   document.body.dataset.state = p.state;
-  $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
+  $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault", Homing: "homing" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
   // A new page takes command, unless another page has it; so does the page of a simulation that lost it in the background.
@@ -195,6 +195,7 @@ function picture(p) {
     ["Inertia off / full", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
     ["Rows lost", String(p.lost), p.lost > 0],
     p.speed === null ? ["Interrupt load", p.load === null ? "–" : digits(100 * p.load, 2) + " %", p.load > 0.9] : ["Simulation speed", digits(100 * p.speed, 3) + " %", p.speed < 0.9],
+    ...n.sensed.map((angle, i) => [`Sensed ${i}`, unit(angle, "rad")]),
   ];
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));

@@ -1,13 +1,13 @@
 // ---- scope --------------------------------------------------------------------------------------------------------
-// Telemetry signals by the first word of their label: displayed name, unit of the axis, and factor from SI to that
-// unit.
+// Telemetry signals by the first word of their label (of a slide with its unit): displayed name, unit of the axis, and
+// factor from SI to that unit.
 const SIGNALS = {
   rendered: ["wall force", "N", 1], force: ["requested wall force", "N", 1], distance: ["distance to the wall", "mm", 1e3], velocity: ["speed along the normal", "mm/s", 1e3],
   energy: ["energy taken up", "mJ", 1e3], tip_x: ["tip x", "mm", 1e3], tip_y: ["tip y", "mm", 1e3], tip_z: ["tip z", "mm", 1e3], tip: ["tip", "mm", 1e3],
-  q: ["angle", "°", 180 / Math.PI], torque: ["torque", "mN m", 1e3], saturated: ["limited", "", 1], counts: ["encoder", "counts", 1], state: ["state", "", 1], contacts: ["walls touched", "", 1],
+  q: ["angle", "°", 180 / Math.PI], q_m: ["travel", "mm", 1e3], torque: ["torque", "mN m", 1e3], torque_n: ["motor force", "N", 1], saturated: ["limited", "", 1], counts: ["encoder", "counts", 1], state: ["state", "", 1], contacts: ["walls touched", "", 1],
 };
 function signal(label) {
-  const [, word, joint] = /^(tip_[xyz]|[a-z]+)(\d*)/.exec(label), [name, unit, factor] = SIGNALS[word] || [label, "", 1];
+  const [, word, joint, suffix] = /^(tip_[xyz]|[a-z]+)(\d*)(.*)/.exec(label), [name, unit, factor] = SIGNALS[word + suffix] || SIGNALS[word] || [label, "", 1];
   return { name: name + (joint ? ", joint " + joint : ""), unit, factor };
 }
 $("window").replaceChildren(...[.005, .01, .02, .05, .1, .2, .5, 1, 2].map(s => new Option(s < 1 ? s * 1000 + " ms" : s + " s", s)));

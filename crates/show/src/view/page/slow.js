@@ -4,7 +4,7 @@
 const MAGNIFIED = 100, MEAN = .18, MOST = .045;
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 function fastMotion() {
-  const path = view.recent.flat().map(fromTask), half = Math.max(1, Math.round(MEAN / 2 * path.length)), moves = [];
+  const path = view.recent.flat().map(at => fromTask(at, paddle())), half = Math.max(1, Math.round(MEAN / 2 * path.length)), moves = [];
   for (let i = half; i < path.length - half; i++) {
     const near = path.slice(i - half, i + half), move = [0, 1].map(k => MAGNIFIED * (path[i][k] - near.reduce((sum, at) => sum + at[k], 0) / near.length));
     const long = Math.hypot(...move), most = Math.min(1, MOST / long || 1);
@@ -15,7 +15,7 @@ function fastMotion() {
 function drawMotion(c, f, g) {
   const moves = view.fast && !paper ? fastMotion() : [];
   if (!moves.length) return;
-  const places = moves.map(([x, y]) => [f.toX(g.tip[0] + x), f.toY(g.tip[1] + y)]), tips = g.bars.filter(([, to]) => Math.hypot(to[0] - g.tip[0], to[1] - g.tip[1]) < 1e-4);
+  const tip = tipsOf(g)[paddle()], places = moves.map(([x, y]) => [f.toX(tip[0] + x), f.toY(tip[1] + y)]), tips = g.bars.filter(([, to]) => Math.hypot(to[0] - tip[0], to[1] - tip[1]) < 1e-4);
   const line = list => { c.beginPath(); list.forEach(([x, y], i) => i ? c.lineTo(x, y) : c.moveTo(x, y)); c.stroke(); };
   c.save(); c.strokeStyle = palette.link;
   if (!calm.matches) { c.globalAlpha = .05; for (const place of places.slice(-24)) for (const [from] of tips) line([[f.toX(from[0]), f.toY(from[1])], place]); }

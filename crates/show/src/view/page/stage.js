@@ -34,7 +34,8 @@ function onRail(place) {
   return wallPlace(along > 0 ? Math.min(along, RAIL.before) : -Math.min(Math.max(-along, RAIL.least), RAIL.most));
 }
 // While the motors go on, the stage moves the hand.
-function lead(place, last = true) { if (view.down && !view.last.held) return; const message = { do: "hand", at: toTask(onRail(place)) }; last ? say(message) : sayThrottled(message); }
+const paddle = () => Math.min(view.paddle || 0, view.last.geometry.more.length);
+function lead(place, last = true) { if (view.down && !view.last.held) return; const message = { do: "hand", at: toTask(onRail(place), paddle(), view.last.hand?.goal || view.trail.at(-1)) }; last ? say(message) : sayThrottled(message); }
 
 // One sentence for the thing that is seen.
 function describe(p) {
@@ -88,18 +89,35 @@ function prepareCanvas(canvas) {
 }
 
 // ---- the device ---------------------------------------------------------------------------------------------------
-// A paddle's task is the length of its tip's arc, so positions on it are drawn at their angle.
-const armOf = g => g.bars.length ? Math.hypot(g.bars[0][1][0] - g.bars[0][0][0], g.bars[0][1][1] - g.bars[0][0][1]) : 0.1;
-const fromTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
-const toTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
+// The coordinates of paddles and slides have no plane: each is drawn on its track, an arc or a line.
+const tracks = () => view.hello.tracks;
+function fromTask(at, track = 0) {
+  const t = tracks()[track], s = at[track];
+  if (!t) return at;
+  if (t.is === "line") return [0, 1].map(k => t.at[k] + s * t.along[k]);
+  const angle = t.zero + t.sense * s / t.radius;
+  return [t.centre[0] + t.radius * Math.cos(angle), t.centre[1] + t.radius * Math.sin(angle)];
+}
+// Returns the task position of a drawn place, with the other coordinates of `others`.
+function toTask([x, y], track = 0, others = [0, 0]) {
+  const t = tracks()[track];
+  if (!t) return [x, y];
+  const turn = () => { const angle = Math.atan2(y - t.centre[1], x - t.centre[0]) - t.zero; return Math.atan2(Math.sin(angle), Math.cos(angle)); };
+  const s = t.is === "line" ? ((x - t.at[0]) * t.along[0] + (y - t.at[1]) * t.along[1]) / (t.along[0] ** 2 + t.along[1] ** 2) : t.sense * t.radius * turn();
+  return others.map((other, i) => i === track ? s : other);
+}
+const tipsOf = g => [g.tip, ...g.more.map(([tip]) => tip)];
+// Place of a wall's point.
+const wallPoint = wall => fromTask(wall.values, wall.track ?? 0);
 function frame(w, h) {
   // During a drag the picture keeps still, because the position under the pointer would move away from it.
   if (grabbed && view.frame?.w === w && view.frame.h === h) return view.frame;
   const g = view.last.geometry;
   // The picture includes the points of walls near the tip.
-  const near = view.walls.map(wall => fromTask([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
-  const held = g.springs.map(fromTask).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
-  const points = [g.tip, ...g.base, ...g.bars.flat(), ...near, ...held];
+  const tips = tipsOf(g), isNear = at => tips.some(tip => Math.hypot(at[0] - tip[0], at[1] - tip[1]) < 0.12);
+  const near = view.walls.map(wallPoint).filter(isNear);
+  const held = g.springs.flatMap(spring => tips.map((_, i) => fromTask(spring, i))).filter(isNear);
+  const points = [...tips, ...g.base, ...g.bars.flat(), ...g.rails.flat(), ...near, ...held];
   const box = view.box || [Infinity, Infinity, -Infinity, -Infinity];
   for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
   view.box = box;
@@ -128,12 +146,15 @@ function spring(c, x0, y0, x1, y1) {
 // Handle of a wall: for a plane it is next to its point, where the tip is not in the way.
 function wallHandle(wall) {
   const v = wall.values, line = wall.outline?.is === "line" ? wall.outline : null, aside = 90 / view.frame.scale;
-  if (view.hello.task === 1) return fromTask([v[0], 0]);
+  if (tracks().length) return wallPoint(wall);
   return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
 }
 function drawWall(c, f, w, h, size, wall, index) {
   const v = wall.values, o = wall.outline, chosen = index === view.wall;
   c.save(); c.fillStyle = palette.wall; c.strokeStyle = chosen ? palette.ink : palette.hatch; c.lineWidth = chosen ? 2.5 : 1.5;
+  // The wall of one of several paddles ends halfway to the next paddle.
+  const pivots = tracks().length > 1 ? tracks().map(t => t.centre || t.at) : [], half = pivots.length ? .5 * f.scale * Math.hypot(pivots[1][0] - pivots[0][0], pivots[1][1] - pivots[0][1]) : 0;
+  if (half && o) { c.beginPath(); c.rect(-w, f.toY(pivots[wall.track][1]) - half, 3 * w, 2 * half); c.clip(); }
   if (o?.is === "line") {
     const long = 2 * (w + h);
     c.translate(f.toX(o.at[0]), f.toY(o.at[1])); c.rotate(Math.atan2(o.normal[0], o.normal[1]));
@@ -144,7 +165,8 @@ function drawWall(c, f, w, h, size, wall, index) {
     if (o.inside) c.rect(-w, -h, 3 * w, 3 * h);
     c.fill("evenodd");
   } else {
-    c.fillStyle = palette.ink; c.fillText(wall.shape + ": not drawn in this plane", f.toX(v[0]) + 12, f.toY(v[1]) + 4);
+    const [x, y] = wallPoint(wall);
+    c.fillStyle = palette.ink; c.fillText(wall.shape + ": not drawn in this plane", f.toX(x) + 12, f.toY(y) + 4);
   }
   c.restore();
   if (o) {
@@ -161,7 +183,7 @@ function drawWall(c, f, w, h, size, wall, index) {
   const [x, y] = wallHandle(wall);
   c.fillStyle = palette.card; c.strokeStyle = palette.hatch; c.lineWidth = 2;
   c.beginPath(); c.arc(f.toX(x), f.toY(y), 7, 0, 2 * Math.PI); c.fill(); c.stroke();
-  if (o?.is === "line" && view.hello.task > 1) {
+  if (o?.is === "line" && !tracks().length) {
     c.fillStyle = c.strokeStyle = palette.hatch; arrow(c, f.toX(x), f.toY(y) , o.normal[0] * 38, -o.normal[1] * 38);
   }
 }
@@ -170,12 +192,14 @@ function drawSprings(c, f, w, h, g) {
   c.strokeStyle = c.fillStyle = palette.spring;
   g.springs.forEach((held, index) => {
     const s = view.springs[index]; if (!s) return;
-    const at = fromTask(held), [x, y] = [f.toX(at[0]), f.toY(at[1])], [dx, dy] = s.direction, long = 2 * (w + h);
-    if (view.hello.task > 1 && Math.hypot(dx, dy) > 0) {
-      c.lineWidth = 2; c.setLineDash([8, 5]); c.beginPath(); c.moveTo(x - long * dx, y + long * dy); c.lineTo(x + long * dx, y - long * dy); c.stroke(); c.setLineDash([]);
-    }
-    c.lineWidth = 2; spring(c, x, y, f.toX(g.tip[0]), f.toY(g.tip[1]));
-    c.fillRect(x - 4, y - 4, 8, 8);
+    tipsOf(g).forEach((tip, i) => {
+      const at = fromTask(held, i), [x, y] = [f.toX(at[0]), f.toY(at[1])], [dx, dy] = s.direction, long = 2 * (w + h);
+      if (!tracks().length && Math.hypot(dx, dy) > 0) {
+        c.lineWidth = 2; c.setLineDash([8, 5]); c.beginPath(); c.moveTo(x - long * dx, y + long * dy); c.lineTo(x + long * dx, y - long * dy); c.stroke(); c.setLineDash([]);
+      }
+      c.lineWidth = 2; spring(c, x, y, f.toX(tip[0]), f.toY(tip[1]));
+      c.fillRect(x - 4, y - 4, 8, 8);
+    });
   });
 }
 function drawStage() {
@@ -186,7 +210,7 @@ function drawStage() {
   drawSprings(c, f, w, h, g);
   const expert = document.body.classList.contains("more");
   c.strokeStyle = palette.dim; c.lineWidth = 1.5; c.beginPath();
-  if (expert) view.trail.map(fromTask).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke();
+  if (expert) g.more.length || view.trail.map(at => fromTask(at)).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke();
   const ellipse = expert && g.ellipse && view.hello.flat;
   if (ellipse) {
     // A kilogram is drawn as 12 cm.
@@ -196,24 +220,31 @@ function drawStage() {
   }
   c.strokeStyle = palette.link; c.lineWidth = Math.max(4, Math.min(10, .006 * f.scale)); c.globalAlpha = .85;
   drawMotion(c, f, g);
+  c.save(); c.strokeStyle = palette.hatch; c.lineWidth = 3;
+  for (const [from, to] of g.rails) { c.beginPath(); c.moveTo(f.toX(from[0]), f.toY(from[1])); c.lineTo(f.toX(to[0]), f.toY(to[1])); c.stroke(); }
+  c.restore();
   for (const [from, to] of g.bars) { c.beginPath(); c.moveTo(f.toX(from[0]), f.toY(from[1])); c.lineTo(f.toX(to[0]), f.toY(to[1])); c.stroke(); }
   c.globalAlpha = 1; c.lineWidth = 2;
   for (const [x, y] of [...g.base, ...g.bars.map(bar => bar[1])]) { c.fillStyle = palette.card; c.beginPath(); c.arc(f.toX(x), f.toY(y), 5, 0, 2 * Math.PI); c.fill(); c.stroke(); }
-  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])];
-  const hand = view.last.hand;
+  const hand = view.last.hand, tips = tipsOf(g);
   if (railed()) { c.strokeStyle = palette.hand; c.lineWidth = 1; c.beginPath(); for (const along of [RAIL.before, -RAIL.most]) { const [rx, ry] = wallPlace(along); c.lineTo(f.toX(rx), f.toY(ry)); } c.stroke(); }
   if (hand) {
-    const [goal, at] = [fromTask(hand.goal), fromTask(hand.at)];
     c.strokeStyle = palette.hand; c.fillStyle = palette.hand; c.lineWidth = 2;
-    spring(c, f.toX(goal[0]), f.toY(goal[1]), f.toX(at[0]), f.toY(at[1]));
-    c.beginPath(); c.arc(f.toX(goal[0]), f.toY(goal[1]), 6, 0, 2 * Math.PI); c.fill();
-    c.globalAlpha = .35; c.beginPath(); c.arc(f.toX(at[0]), f.toY(at[1]), 13, 0, 2 * Math.PI); c.fill(); c.globalAlpha = 1;
+    for (let i = 0; i < Math.min(2, tips.length); i++) {
+      const [goal, at] = [fromTask(hand.goal, i), fromTask(hand.at, i)];
+      spring(c, f.toX(goal[0]), f.toY(goal[1]), f.toX(at[0]), f.toY(at[1]));
+      c.beginPath(); c.arc(f.toX(goal[0]), f.toY(goal[1]), 6, 0, 2 * Math.PI); c.fill();
+      c.globalAlpha = .35; c.beginPath(); c.arc(f.toX(at[0]), f.toY(at[1]), 13, 0, 2 * Math.PI); c.fill(); c.globalAlpha = 1;
+    }
   }
-  c.fillStyle = palette.ink; c.beginPath(); c.arc(x, y, 6, 0, 2 * Math.PI); c.fill();
-  c.strokeStyle = c.fillStyle = palette.force; c.lineWidth = 3;
-  // A newton is drawn as 12 pixels, at most a third of the picture.
-  const newton = 12 * Math.min(1, Math.min(w, h) / 36 / Math.hypot(...g.force));
-  arrow(c, x, y, g.force[0] * newton, -g.force[1] * newton);
+  for (const [tip, force] of [[g.tip, g.force], ...g.more]) {
+    const [x, y] = [f.toX(tip[0]), f.toY(tip[1])];
+    c.fillStyle = palette.ink; c.beginPath(); c.arc(x, y, 6, 0, 2 * Math.PI); c.fill();
+    c.strokeStyle = c.fillStyle = palette.force; c.lineWidth = 3;
+    // A newton is drawn as 12 pixels, at most a third of the picture.
+    const newton = 12 * Math.min(1, Math.min(w, h) / 36 / Math.hypot(...force));
+    arrow(c, x, y, force[0] * newton, -force[1] * newton);
+  }
   drawSlow(c, w, h, size, f, g);
   // Scale and legend.
   const length = .05 * f.scale;
@@ -238,12 +269,13 @@ $("stage").onpointerdown = event => {
   const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
   $("stage").setPointerCapture(event.pointerId);
   grabbed = { hand: true };
-  // Only a handle that is drawn moves its wall, and the tip takes precedence over it.
-  const { tip } = view.last.geometry;
-  if (document.body.classList.contains("more") && !(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
+  // Only a handle that is drawn moves its wall, and a tip takes precedence over it. The hand takes the nearest paddle.
+  const tips = tipsOf(view.last.geometry), far = tips.map(([x, y]) => Math.hypot(f.toX(x) - px, f.toY(y) - py));
+  view.paddle = far.indexOf(Math.min(...far));
+  if (document.body.classList.contains("more") && !(view.hello.simulated && tips.some(tip => near(...tip)))) view.walls.forEach((wall, index) => {
     const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
-    if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
-    else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
+    if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], track: wall.track ?? 0, aside: tracks().length ? [0, 0] : [x - v[0], y - v[1]] };
+    else if (nx !== undefined && !tracks().length && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
   });
   if (grabbed.wall !== undefined) { view.wall = grabbed.wall; showGains(); } else if (!view.hello.simulated) grabbed = null;
   moved(event);
@@ -252,7 +284,7 @@ function moved(event, last) {
   if (!grabbed) return;
   const at = view.frame.from(...placeOf(event));
   if (grabbed.hand) return lead(at, last);
-  const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : toTask([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]]) };
+  const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : toTask([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]], grabbed.track, grabbed.point) };
   if (grabbed.from) message.normal = [at[0] - grabbed.from[0], at[1] - grabbed.from[1]];
   last ? say(message) : sayThrottled(message);
 }
@@ -264,7 +296,7 @@ $("stage").onkeydown = event => {
   const step = { ArrowUp: [0, 2e-3], ArrowDown: [0, -2e-3], ArrowRight: [2e-3, 0], ArrowLeft: [-2e-3, 0] }[event.key];
   if (!step || !view.last || !view.hello?.simulated) return;
   event.preventDefault();
-  const at = view.last.hand ? fromTask(view.last.hand.goal) : view.last.geometry.tip, out = railed() && step[0] * view.walls[0].outline.normal[0] + step[1] * view.walls[0].outline.normal[1] > 0;
+  const at = view.last.hand ? fromTask(view.last.hand.goal, paddle()) : tipsOf(view.last.geometry)[paddle()], out = railed() && step[0] * view.walls[0].outline.normal[0] + step[1] * view.walls[0].outline.normal[1] > 0;
   lead(out ? wallPlace(RAIL.before) : [at[0] + step[0], at[1] + step[1]]);
 };
 // A new start runs by itself again.

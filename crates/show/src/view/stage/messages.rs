@@ -3,7 +3,7 @@
 use super::recording::{ActiveRecording, RecordingStatus};
 use super::{MAX_JOINT_ROTATION, Stage};
 use crate::demo::crossing::hand_settings;
-use crate::outline::{outline, outline_on_arc};
+use crate::outline::{outline, outline_on_track};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
 use crate::view::stability::{Plane, PredictionRequest, predict_buzz};
@@ -53,7 +53,7 @@ impl Stage {
     pub(super) fn send_pictures(&mut self) {
         let newest = Newest::of(&self.ring, &self.columns);
         let links = self.world.file.as_ref().map(|file| &file.description);
-        let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
+        let (geometry, numbers) = newest.moment(&self.device, links, &self.tracks, &self.scene, self.rows_hz);
         let hand = self.world.simulated.as_ref().and_then(|board| {
             let board = board.lock();
             let [x, y, _] = board.device().hand().position()?;
@@ -184,6 +184,7 @@ impl Stage {
             "weightless": self.world.weightless, "smooth": self.world.smooth,
             "flat": self.device.mechanism.kind().spec().task == 2,
             "task": self.device.mechanism.kind().spec().task,
+            "tracks": &self.tracks,
             "rate_hz": self.scene.rate_hz,
             "rows_hz": self.rows_hz,
             "cutoff_hz": self.scene.cutoff_hz,
@@ -192,16 +193,15 @@ impl Stage {
     }
 
     pub(super) fn walls_message(&self) -> Value {
-        let paddle = self.scene.task == 1;
-        let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
-        let wall_outline = |surface: &Surface<f64>| match paddle {
-            true => length.and_then(|length| outline_on_arc(surface, length)),
-            false => outline(surface),
+        let wall_outline = |surface: &Surface<f64>| match self.tracks.as_slice() {
+            [] => (None, outline(surface)),
+            tracks => outline_on_track(surface, tracks).unzip(),
         };
         let walls = self.scene.walls.iter().map(|wall| {
+            let (track, outline) = wall_outline(&wall.surface);
             json!({
                 "shape": wall.surface.spec().name, "values": wall.surface.values(),
-                "outline": wall_outline(&wall.surface), "stiffness": wall.stiffness,
+                "outline": outline, "track": track, "stiffness": wall.stiffness,
                 "damping": wall.damping, "feed_forward": wall.feed_forward,
             })
         });
