@@ -8,7 +8,6 @@ use haptic_bridge::control::host_force::ForceRequest;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
 use haptic_bridge::drive::motor_stage::MotorDrive;
-use haptic_bridge::drive::stage::Duty;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
