@@ -12,8 +12,8 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ARC, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, MAX_MODES,
-    MAX_SENSED, Stribeck, StructuralMode, Transmission,
+    ANGLE_COUNTS, ARC, AngleChip, AngleSensor, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing,
+    Joint, JointFrame, Link, MAX_MODES, MAX_SENSED, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
@@ -95,7 +95,7 @@ impl DeviceFile {
                  remove {surplus} of them"
             ));
         }
-        if self.description.home.is_none() {
+        if self.description.home.is_none() && !self.device::<f64>().is_ok_and(|device| device.homes_itself()) {
             missing.push("[home] needs q, the pose that homing declares".into());
         }
         missing
@@ -410,6 +410,30 @@ fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
     };
     let transmission = transmission.map(|part| transmission_of(&part, inertia, includes_body_inertia(spec, index)));
     let transmission = transmission.and_then(|found| table.keep(found.map(Some), None));
+    let (encoder, motor) = (part("encoder"), part("motor"));
+    // After an error, the rest of the table is read as that of an absolute encoder.
+    let wrong = Some(AngleSensor { chip: AngleChip::As5047, at: EncoderAt::Motor });
+    let absolute = encoder.as_ref().and_then(|part| table.keep(angle_sensor_of(part, prismatic), wrong));
+    let transmission = match (transmission, absolute) {
+        (Some(transmission), Some(sensor)) if part("transmission").is_some_and(|part| part.has("encoder_at")) => {
+            if transmission.encoder_at != sensor.at {
+                let reason = "`at` and the `encoder_at` of [joint.transmission] are different shafts";
+                let error = Err(table.error_here(impossible(reason, "remove encoder_at: `at` is enough")));
+                table.keep(error, ());
+            }
+            Some(transmission)
+        }
+        (Some(transmission), Some(sensor)) => Some(Transmission { encoder_at: sensor.at, ..transmission }),
+        (transmission, _) => transmission,
+    };
+    let is_on_motor = absolute.is_some_and(|sensor| sensor.at == EncoderAt::Motor);
+    let ratio = match &motor {
+        Some(motor) if is_on_motor || is_brushless(motor) => ratio_of(motor, prismatic),
+        None if is_on_motor && prismatic => {
+            table.keep(table.require("motor", None, "[joint.motor] with turns_per_metre = 25"), 1.0)
+        }
+        _ => 1.0,
+    };
     let friction = part("friction").and_then(|part| table.keep(friction_of(&part, coulomb).map(Some), None));
     Joint {
         prismatic,
@@ -418,8 +442,15 @@ fn joint_of(table: &Table<'_>, spec: &Spec, index: usize) -> Joint {
         viscous: table.number_or("viscous", Must::NotBeNegative, 0.0),
         coulomb,
         limits: table.keep(limits(table, JointUnits::of(prismatic).travel), None),
-        encoder: part("encoder").map(|part| encoder_of(&part, prismatic)),
-        motor: part("motor").map(|part| motor_of(&part, prismatic)),
+        encoder: encoder.map(|part| match absolute {
+            None => encoder_of(&part, prismatic),
+            Some(_) => Encoder {
+                counts_per_turn: f64::from(ANGLE_COUNTS) * if is_on_motor { ratio } else { 1.0 },
+                ..encoder_at(&part)
+            },
+        }),
+        absolute,
+        motor: motor.map(|part| motor_of(&part, prismatic, ratio, is_on_motor)),
         transmission,
         rigid,
         friction,
@@ -536,12 +567,36 @@ fn encoder_of(table: &Table<'_>, prismatic: bool) -> Encoder {
         true => ("counts_per_metre", "counts_per_metre = 40000", TAU),
         false => ("counts_per_turn", "counts_per_turn = 16384", 1.0),
     };
-    table.refuse_unknown_keys(&[key, "offset", "inverted"]);
+    table.refuse_unknown_keys(&["kind", key, "offset", "inverted"]);
+    Encoder { counts_per_turn: turn * table.required_number(key, Must::BePositive, example), ..encoder_at(table) }
+}
+
+/// Reads the angle at count 0 and the direction of an encoder.
+fn encoder_at(table: &Table<'_>) -> Encoder {
     Encoder {
-        counts_per_turn: turn * table.required_number(key, Must::BePositive, example),
+        counts_per_turn: f64::NAN,
         offset: table.number_or("offset", Must::BeFinite, 0.0),
         inverted: table.flag_or("inverted", false),
     }
+}
+
+/// Reads chip and place of an absolute encoder; `None` for an incremental encoder.
+fn angle_sensor_of(table: &Table<'_>, prismatic: bool) -> Result<Option<AngleSensor>, FileError> {
+    let chips = [AngleChip::As5047, AngleChip::As5048].map(|chip| (chip.name(), Some(chip)));
+    let kinds = [("incremental", None), chips[0], chips[1]];
+    let Some(chip) = table.word("kind", &kinds)?.flatten() else { return Ok(None) };
+    if let Some(key) = ["counts_per_turn", "counts_per_metre"].into_iter().find(|key| table.has(key)) {
+        let reason = format!("an {} always has {ANGLE_COUNTS} counts in a turn of its magnet", chip.name());
+        let remedy = format!("remove {key}; for an encoder on the motor write `ratio` in [joint.motor]");
+        return Err(table.error_at(key, impossible(reason, remedy)));
+    }
+    table.refuse_unknown_keys(&["kind", "at", "offset", "inverted"]);
+    let at = table.word("at", &[("motor", EncoderAt::Motor), ("joint", EncoderAt::Joint)])?.unwrap_or_default();
+    if prismatic && at == EncoderAt::Joint {
+        let reason = "a slide does not turn, so its absolute encoder is on the motor";
+        return Err(table.error_at("at", impossible(reason, "write at = \"motor\"")));
+    }
+    Ok(Some(AngleSensor { chip, at }))
 }
 
 /// Reads names and data of the encoders without motors.
@@ -565,7 +620,22 @@ fn sensed(top: &Table<'_>) -> Result<Vec<(String, Encoder)>, FileError> {
     Ok(sensed.collect())
 }
 
-fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
+/// Returns true if a motor is brushless.
+fn is_brushless(motor: &Table<'_>) -> bool {
+    // An unknown kind is an error of `motor_of`.
+    motor.word("kind", &[("brushed", false), ("brushless", true)]).ok().flatten().unwrap_or(false)
+}
+
+/// Reads the turns of a motor's shaft per turn of its joint, of a slide per 2π m.
+fn ratio_of(motor: &Table<'_>, prismatic: bool) -> f64 {
+    match prismatic {
+        true => TAU * motor.required_number("turns_per_metre", Must::BePositive, "turns_per_metre = 25"),
+        false => motor.number_or("ratio", Must::BePositive, 1.0),
+    }
+}
+
+/// Reads a motor whose shaft makes `ratio` turns per turn of its joint. `has_ratio` if a brushed motor's file says it.
+fn motor_of(table: &Table<'_>, prismatic: bool, ratio: f64, has_ratio: bool) -> Motor<f64> {
     let (key, example) = match prismatic {
         true => ("force_constant", "force_constant = 5.0"),
         false => ("torque_constant", "torque_constant = 0.05"),
@@ -574,13 +644,17 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
     let is_brushless = table.keep(table.word("kind", &kinds), None).unwrap_or(false);
     let of_all = ["kind", key, "resistance", "inductance", "back_emf", "max_current", "verified"];
     let turns = if prismatic { "turns_per_metre" } else { "ratio" };
-    let of_brushless = ["pole_pairs", turns];
-    table.refuse_unknown_keys(&[&of_all[..], if is_brushless { &of_brushless } else { &[] }].concat());
+    let further: &[&str] = match is_brushless {
+        true => &["pole_pairs", turns],
+        false if has_ratio => &[turns],
+        false => &[],
+    };
+    table.refuse_unknown_keys(&[&of_all[..], further].concat());
     let torque_constant = table.required_number(key, Must::BePositive, example);
     // The power of three phases is 3/2 of the product of the peaks of voltage and current.
     let back_emf = if is_brushless { torque_constant / 1.5 } else { torque_constant };
     Motor {
-        winding: if is_brushless { three_phase(table, prismatic) } else { Winding::Brushed },
+        winding: if is_brushless { three_phase(table, ratio) } else { Winding::Brushed },
         torque_constant,
         resistance: table.required_number("resistance", Must::BePositive, "resistance = 2.0"),
         inductance: match is_brushless {
@@ -593,12 +667,8 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
     }
 }
 
-/// Reads the poles of a brushless motor, and the turns of its shaft.
-fn three_phase(table: &Table<'_>, prismatic: bool) -> Winding<f64> {
-    let ratio = match prismatic {
-        true => TAU * table.required_number("turns_per_metre", Must::BePositive, "turns_per_metre = 25"),
-        false => table.number_or("ratio", Must::BePositive, 1.0),
-    };
+/// Reads the poles of a brushless motor.
+fn three_phase(table: &Table<'_>, ratio: f64) -> Winding<f64> {
     let pole_pairs = table.required_number("pole_pairs", Must::BePositive, "pole_pairs = 7");
     let is_count = pole_pairs.fract() == 0.0 && pole_pairs <= f64::from(u8::MAX);
     let remedy = "write the number of magnets of the rotor, divided by two";
@@ -641,6 +711,11 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<Home>, 
     let homing = match by {
         Homing::Hand => by,
         Homing::Index => {
+            if let Some(index) = joints.iter().position(|joint| joint.absolute.is_some()) {
+                let reason = format!("the absolute encoder of joint {index} has no index mark");
+                let remedy = "remove `by`; an absolute encoder needs no mark";
+                return Err(table.error_at("by", impossible(reason, remedy)));
+            }
             for (index, joint) in top.tables("joint")?.iter().enumerate() {
                 if !joint.table("encoder")?.is_some_and(|encoder| encoder.has("offset")) {
                     let reason =

@@ -7,7 +7,7 @@
 use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
-use haptic_bridge::model::description::Homing;
+use haptic_bridge::model::description::{ANGLE_COUNTS, EncoderAt, Homing};
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::Winding;
@@ -284,9 +284,13 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
         let counts = f64::from(joint.counts_per_turn);
         let turns = (counts * size / TAU).round();
         let mut into = table(entries, "[joint.encoder]", index);
-        match prismatic {
-            true => into.number("counts_per_metre", 1.0 / size, ""),
-            false => into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, ""),
+        match (joint.absolute, prismatic) {
+            (Some(sensor), _) => {
+                into.word("kind", sensor.chip.name());
+                into.word("at", if sensor.at == EncoderAt::Joint { "joint" } else { "motor" });
+            }
+            (None, true) => into.number("counts_per_metre", 1.0 / size, ""),
+            (None, false) => into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, ""),
         }
         into.number("offset", joint.offset.into(), units.travel);
         into.flag("inverted", joint.radians_per_count < 0.0);
@@ -296,10 +300,9 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
         if let Winding::ThreePhase { pole_pairs, ratio } = motor.winding {
             into.word("kind", "brushless");
             into.number("pole_pairs", pole_pairs.into(), "");
-            match prismatic {
-                true => into.number("turns_per_metre", f64::from(ratio) / TAU, ""),
-                false => into.number("ratio", ratio.into(), ""),
-            }
+            put_ratio(&mut into, ratio.into(), prismatic);
+        } else if joint.absolute.is_some_and(|sensor| sensor.at == EncoderAt::Motor) {
+            put_ratio(&mut into, TAU / (size * f64::from(ANGLE_COUNTS)), prismatic);
         }
         match prismatic {
             true => into.number("force_constant", motor.torque_constant.into(), "N/A"),
@@ -310,6 +313,14 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>, prismat
         into.number("back_emf", motor.back_emf.into(), if prismatic { "V s/m" } else { "V s/rad" });
         into.number("max_current", motor.max_current.into(), "A");
         into.flag("verified", motor.verified);
+    }
+}
+
+/// Writes the turns of the motor's shaft per turn of its joint, of a slide per 2π m.
+fn put_ratio(into: &mut Writer, ratio: f64, prismatic: bool) {
+    match prismatic {
+        true => into.number("turns_per_metre", f64::from((ratio / TAU) as f32), ""),
+        false => into.number("ratio", f64::from(ratio as f32), ""),
     }
 }
 

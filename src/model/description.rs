@@ -178,6 +178,8 @@ pub struct Joint {
     pub limits: Option<(f64, f64)>,
     /// Encoder; required by a board.
     pub encoder: Option<Encoder>,
+    /// Chip and place of an absolute encoder; `None` if the encoder counts from power-on.
+    pub absolute: Option<AngleSensor>,
     /// Motor; required by a board.
     pub motor: Option<Motor<f64>>,
     /// Transmission between motor and link; `None` if it is rigid.
@@ -274,7 +276,7 @@ pub struct Transmission {
 }
 
 /// The side of a transmission that an encoder measures.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum EncoderAt {
     /// Motor side.
     #[default]
@@ -283,12 +285,58 @@ pub enum EncoderAt {
     Joint,
 }
 
-/// An incremental encoder, referred to the joint.
+/// Counts of an absolute encoder in a turn of its magnet.
+pub const ANGLE_COUNTS: i32 = 1 << 14;
+
+/// An absolute encoder: a chip that measures the angle of a magnet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct AngleSensor {
+    /// Type of the chip.
+    pub chip: AngleChip,
+    /// Shaft with the magnet.
+    pub at: EncoderAt,
+}
+
+/// Type of an absolute encoder with SPI frames of 16 bits (ams data sheets AS5047D v1-00, AS5048 v1-06).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum AngleChip {
+    /// AS5047D or AS5047P, which extrapolates the angle by its own delay.
+    As5047,
+    /// AS5048A.
+    As5048,
+}
+
+impl AngleSensor {
+    /// Returns the age of the angle at the crest that reads it, s. The chip latches the angle at the valley before.
+    pub fn age(&self, carrier_hz: f64) -> f64 {
+        self.chip.delay() + 0.5 / carrier_hz
+    }
+}
+
+impl AngleChip {
+    /// Returns the name in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::As5047 => "as5047",
+            Self::As5048 => "as5048",
+        }
+    }
+
+    /// Returns the chip's delay from the magnet to the latched angle, s.
+    pub const fn delay(self) -> f64 {
+        match self {
+            Self::As5047 => 2e-6,
+            Self::As5048 => 100e-6,
+        }
+    }
+}
+
+/// An encoder, referred to the joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Encoder {
     /// Counts per turn of the joint, after x4 decoding. Of a prismatic joint, 2π times the counts per metre.
     pub counts_per_turn: f64,
-    /// Joint angle at count 0 after homing, rad.
+    /// Joint angle at count 0 after homing, of an absolute encoder at its angle zero, rad.
     pub offset: f64,
     /// True if the count falls as the angle grows.
     pub inverted: bool,

@@ -2,15 +2,22 @@
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::description::{Description, DescriptionError, Encoder, Homing, MAX_SENSED};
+use crate::model::description::{
+    ANGLE_COUNTS, AngleSensor, Description, DescriptionError, Encoder, EncoderAt, Homing, MAX_SENSED,
+};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose, shared_shaping};
 use crate::model::motor::Motor;
 use crate::model::padding::{pad, to_joints};
 use crate::model::solve::solve_symmetric;
+use crate::model::units::JointUnits;
 use heapless::{String, Vec};
 use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
+
+/// Largest angle by which a joint at rest may be beyond its limits, rad (of a slide times its lever), because limits end
+/// before stops.
+pub const MAX_BEYOND_LIMITS: f64 = 0.1;
 
 /// Maximum length of a device name, bytes.
 pub const NAME_LENGTH: usize = 32;
@@ -57,7 +64,8 @@ pub struct Joint<T> {
     /// Counts after which the angle repeats: one turn, or q turns if the counts per turn are a fraction p/q; 0 if the
     /// angle never repeats.
     pub counts_per_turn: i32,
-    /// Joint angle at count 0, rad, moved by up to half a count so that home is at an integer count.
+    /// Joint angle at count 0, rad. For an incremental encoder moved by up to half a count so that home is at an integer
+    /// count.
     pub offset: T,
     /// Viscous friction, N m s/rad.
     pub viscous: T,
@@ -67,6 +75,9 @@ pub struct Joint<T> {
     pub limits: Option<(T, T)>,
     /// Motor; a joint without a motor cannot be armed.
     pub motor: Option<Motor<T>>,
+    /// Absolute encoder; `None` if the encoder counts from power-on.
+    #[serde(default)]
+    pub absolute: Option<AngleSensor>,
 }
 
 impl<T: Real> Device<T> {
@@ -88,7 +99,7 @@ impl<T: Real> Device<T> {
                 scale = radians_per_count(&encoder);
                 joint.offset = r(match description.home {
                     // An index mark is at count 0, and home between two counts.
-                    Some(home) if description.homing != Homing::Index => {
+                    Some(home) if description.homing != Homing::Index && described.absolute.is_none() => {
                         offset_on_count(encoder.offset, home[index], scale)
                     }
                     _ => encoder.offset,
@@ -102,6 +113,7 @@ impl<T: Real> Device<T> {
             joint.coulomb = r(described.coulomb);
             joint.limits = described.limits.map(|(low, high)| (r(low), r(high)));
             joint.motor = described.motor.map(|motor| motor.cast());
+            joint.absolute = described.absolute;
         }
         Ok(Self {
             name: short,
@@ -131,6 +143,17 @@ impl<T: Real> Device<T> {
         }
     }
 
+    /// Returns true if absolute encoders tell all joint angles at power-on, so that the device need not be homed.
+    pub fn homes_itself(&self) -> bool {
+        let beyond = |index| T::from_f64(MAX_BEYOND_LIMITS * f64::from(JointUnits::of(self.mechanism.is_prismatic(index)).lever));
+        self.joints.iter().enumerate().take(self.axes()).all(|(index, joint)| joint.has_known_angle(beyond(index)))
+    }
+
+    /// Returns the largest age of an angle at the crest that uses it, s. Only absolute encoders have one.
+    pub fn angle_age(&self, carrier_hz: f64) -> f64 {
+        self.joints.iter().filter_map(|joint| joint.absolute).fold(0.0, |age, sensor| sensor.age(carrier_hz).max(age))
+    }
+
     /// Returns the number of joints N.
     pub fn axes(&self) -> usize {
         self.mechanism.kind().spec().joints
@@ -148,7 +171,16 @@ impl<T: Real> Joint<T> {
             coulomb: cast(self.coulomb),
             limits: self.limits.map(|(low, high)| (cast(low), cast(high))),
             motor: self.motor.map(|motor| motor.cast()),
+            absolute: self.absolute,
         }
+    }
+
+    /// Returns true if an absolute encoder and the joint's limits tell the joint's angle at power-on. `beyond` is the
+    /// largest distance of a joint at rest from its limits, rad.
+    fn has_known_angle(&self, beyond: T) -> bool {
+        let turn = T::from_i32(ANGLE_COUNTS) * self.radians_per_count.abs();
+        let is_settled = |(low, high): (T, T)| high - low + beyond + beyond <= turn;
+        self.absolute.is_some_and(|sensor| sensor.at == EncoderAt::Joint || self.limits.is_some_and(is_settled))
     }
 }
 
