@@ -19,6 +19,7 @@
 //!
 //! `crest_of` in control/crest.rs runs stages 2 to 6 of a usual crest in one pass.
 
+pub mod absolute;
 mod budgets;
 pub mod compiled;
 mod crest;
@@ -130,6 +131,7 @@ pub struct ControlLoop<P, S = MotorStage> {
     checked_zero: Counts,
     fault: Option<FaultRecord>,
     sensed: sensed::SensedEncoders,
+    absolute: absolute::AbsoluteEncoders,
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -159,6 +161,7 @@ where
             checked_zero: Counts::default(),
             fault: None,
             sensed: sensed::SensedEncoders::default(),
+            absolute: absolute::AbsoluteEncoders::default(),
             now: Now::default(),
             joints: [Joint::default(); MAX_JOINTS],
             period: 1.0 / DEFAULT_RATE_HZ as f32,
@@ -297,6 +300,7 @@ where
         if fault.loses_counts() {
             (self.homed, self.placed) = (false, false);
             self.forget_marks();
+            self.absolute.restart();
         }
         self.turn_motors_off();
         self.state = State::Fault;

@@ -109,15 +109,18 @@ impl Service {
     pub fn details(&self, measurements: Measurements) -> Details {
         let Configuration { device, scene, .. } = &self.configuration;
         let Measurements { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measurements;
+        let age = device.as_ref().map_or(0.0, |device| device.angle_age(carrier_hz.into())) as f32;
+        let rate_hz = scene.as_ref().map_or(DEFAULT_RATE_HZ as f32, |scene| scene.rate_hz);
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
             encoders: self.hardware.encoders,
             real: self.hardware.real,
             carrier_hz,
-            delay_samples,
+            // An absolute encoder's angle is older than the counts of a timer.
+            delay_samples: delay_samples + age * rate_hz,
             device: device.as_ref().map(|device| device.name.clone()),
-            rate_hz: scene.as_ref().map_or(DEFAULT_RATE_HZ as f32, |scene| scene.rate_hz),
+            rate_hz,
             walls: scene.as_ref().map_or(0, |scene| scene.walls.len() as u8),
             unsensed,
             damage: self.damage.clone(),
@@ -395,7 +398,8 @@ fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
         Homing::Stop(stops) => device.joints.iter().take(device.axes()).zip(stops).all(|(joint, stop)| {
             stop.is_finite() && joint.limits.is_some_and(|(low, high)| stop <= low || stop >= high)
         }),
-        Homing::Hand | Homing::Index => true,
+        Homing::Index => device.joints.iter().all(|joint| joint.absolute.is_none()),
+        Homing::Hand => true,
     };
     let sensed = (device.sensed.iter())
         .all(|joint| joint.radians_per_count.is_finite() && joint.radians_per_count != 0.0 && joint.offset.is_finite());

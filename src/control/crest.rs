@@ -5,13 +5,14 @@
 //! by a few comparisons of bit patterns whose signs are combined; the fault is identified only if one of them fails.
 
 use super::ControlLoop;
+use super::absolute::ANGLE_NOISE;
 use super::budgets::Sums;
 use super::polarity::stops::HOMING_MARGIN;
 use crate::control::frame::Samples;
 use crate::control::program::Program;
 use crate::drive::bits::{margin_bits, margin_bits_between, margin_counts};
 use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, clamp};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::Homing;
 use crate::safety::fault::{Fault, State};
@@ -104,6 +105,26 @@ impl<S: Stage> Joint<S> {
     /// Returns a negative number if the joint has a range and the count is outside.
     fn range_margin(&self, count: i32) -> i32 {
         if self.bounds.has_range { self.bounds.range_margin(count) } else { 0 }
+    }
+
+    /// Returns the count at the previous crest.
+    pub(super) fn count(&self) -> i32 {
+        self.count
+    }
+
+    /// Sets the count at the previous crest, so that the next crest shows no motion from another count.
+    pub(super) fn start_at(&mut self, count: i32) {
+        self.count = count;
+    }
+
+    /// Returns true if the joint can move by these counts in a carrier period.
+    pub(super) fn can_move(&self, counts: i32) -> bool {
+        margin_counts(counts, self.bounds.max_jump) >= 0
+    }
+
+    /// Returns the motion of the next carrier period at the present speed, within the speed limit, counts.
+    pub(super) fn expected_motion(&self) -> i32 {
+        floor_to_i32(clamp(self.speed, self.bounds.speed) + 0.5)
     }
 
     pub(super) fn is_limited(&self) -> bool {
@@ -230,7 +251,7 @@ where
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
             // A real motion is slower than five times the speed limit, and noise is less than four counts.
-            max_jump: ((5.0 * speed) as i32).max(4),
+            max_jump: ((5.0 * speed) as i32).max(if program.absolute[i] { ANGLE_NOISE } else { 4 }),
             gain,
             // The current loop removes the back-EMF that a slower filter leaves.
             steady_gain: gain.min(MAX_COUNT_TORQUE_SHARE * self.max_joint_torque[i] / kick),

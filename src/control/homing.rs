@@ -11,12 +11,10 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::Homing;
+use crate::model::device::MAX_BEYOND_LIMITS;
 use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 
-/// Largest angle by which a joint may be moved beyond its limits on the way over its index mark, rad, because limits
-/// end before stops.
-const MAX_BEYOND_LIMITS: f32 = 0.1;
 /// Largest number of encoder turns between `offset` and an index mark.
 const MAX_INDEX_TURNS: f32 = 1.0e6;
 
@@ -29,6 +27,7 @@ where
     /// Homes the device by its present pose or by its index marks.
     pub(super) fn home(&mut self) -> Result<(), Refusal> {
         self.check_motors_off()?;
+        self.check_encoders_read()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
         match program.homing {
@@ -49,11 +48,13 @@ where
         Ok(())
     }
 
-    /// Declares that the joints are at `q`, rad. The device is homed.
+    /// Declares that the joints are at `q`, rad. An absolute encoder gives the angle of its joint within a turn of its
+    /// magnet. The device is homed.
     pub(super) fn declare(&mut self, q: &[f32; MAX_JOINTS]) {
-        let counts = self.now.counts;
+        let (counts, axes) = (self.now.counts, self.absolute_axes());
+        let q = core::array::from_fn(|i| if axes[i] { self.absolute_angle(i, q[i]) } else { q[i] });
         if let Some(program) = self.program.as_mut() {
-            program.controller.home(&counts, q);
+            program.controller.home(&counts, &q);
             self.sensed.home();
             (self.placed, self.homed) = (true, true);
             self.keep_polarity_near_its_home();
@@ -88,7 +89,7 @@ where
             if turn <= 0.0 {
                 return Err(Refusal::NoIndexPeriod(joint));
             }
-            let beyond = program.lever[i] * MAX_BEYOND_LIMITS;
+            let beyond = program.lever[i] * MAX_BEYOND_LIMITS as f32;
             let (low, high) = program.limits[i].ok_or(Refusal::NoJointLimits(joint))?;
             let mark = self.first_index[i].ok_or(Refusal::IndexUnseen(joint))?;
             let angle = |count: i32| offset + count.wrapping_sub(mark) as f32 * scale;

@@ -175,6 +175,13 @@ pub struct Program<K, S = MotorStage> {
     pub(crate) coulomb: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
     pub(crate) offsets: [f32; MAX_JOINTS],
+    /// True for each joint with an absolute encoder.
+    pub(crate) absolute: [bool; MAX_JOINTS],
+    /// True if absolute encoders tell all joint angles at power-on.
+    pub(crate) homes_itself: bool,
+    /// Angle (rad) nearest to which an absolute encoder's angle is at power-on: the middle of limits that settle it,
+    /// otherwise home.
+    pub(crate) nearest: [f32; MAX_JOINTS],
     /// Encoders without motors.
     pub(crate) sensed: Vec<Sensed<f32>, MAX_SENSED>,
     /// True if the device is the previous program's device, so that homing and the polarity check stay valid.
@@ -210,7 +217,9 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [S::default(); MAX_JOINTS];
-        let mut arming_refused = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
+        let homes_itself = device.homes_itself();
+        let has_home = device.home.is_some() || homes_itself;
+        let mut arming_refused = if !has_home && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {
             let scale = joint.radians_per_count;
             if !scale.is_finite() || scale == 0.0 {
@@ -251,6 +260,9 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             lever: core::array::from_fn(|i| JointUnits::of(device.mechanism.is_prismatic(i)).lever),
             coulomb: core::array::from_fn(|i| device.joints[i].coulomb),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
+            absolute: core::array::from_fn(|i| device.joints[i].absolute.is_some()),
+            homes_itself,
+            nearest: core::array::from_fn(|i| device.nearest_angle(i)),
             sensed: device.sensed.clone(),
             same_device,
             arming_refused,

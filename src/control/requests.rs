@@ -256,6 +256,7 @@ where
                 self.marks = None;
                 self.forget_marks();
                 self.sensed = SensedEncoders::default();
+                self.absolute.restart();
                 // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.result = StepResult::default();
                 self.now.result.parallel = 1.0;
@@ -317,6 +318,7 @@ where
         if let Some(refusal) = program.arming_refused {
             return Err(refusal);
         }
+        self.check_encoders_read()?;
         if self.hardware.real && !self.placed {
             let by_index = program.homing == Homing::Index;
             return Err(self.angles_by_index().err().filter(|_| by_index).unwrap_or(Refusal::NotHomed));

@@ -145,8 +145,25 @@ impl<T: Real> Device<T> {
 
     /// Returns true if absolute encoders tell all joint angles at power-on, so that the device need not be homed.
     pub fn homes_itself(&self) -> bool {
-        let beyond = |index| T::from_f64(MAX_BEYOND_LIMITS * f64::from(JointUnits::of(self.mechanism.is_prismatic(index)).lever));
-        self.joints.iter().enumerate().take(self.axes()).all(|(index, joint)| joint.has_known_angle(beyond(index)))
+        let is_known = |(index, joint): (usize, &Joint<T>)| {
+            joint.absolute.is_some_and(|sensor| sensor.at == EncoderAt::Joint || self.settling_limits(index).is_some())
+        };
+        self.joints.iter().enumerate().take(self.axes()).all(is_known)
+    }
+
+    /// Returns the limits (rad) of a joint within which its absolute encoder's angle occurs once.
+    fn settling_limits(&self, index: usize) -> Option<(T, T)> {
+        let joint = &self.joints[index];
+        let beyond = MAX_BEYOND_LIMITS * f64::from(JointUnits::of(self.mechanism.is_prismatic(index)).lever);
+        let turn = T::from_i32(ANGLE_COUNTS) * joint.radians_per_count.abs();
+        joint.limits.filter(|(low, high)| *high - *low + T::from_f64(2.0 * beyond) <= turn)
+    }
+
+    /// Returns an angle (rad) that is less than half a turn of an absolute encoder from the joint at power-on: the middle
+    /// of limits that settle the turn, otherwise the home pose.
+    pub fn nearest_angle(&self, index: usize) -> T {
+        let middle = self.settling_limits(index).map(|(low, high)| (low + high) * T::from_f64(0.5));
+        middle.or(self.home.map(|home| home[index])).unwrap_or(T::zero())
     }
 
     /// Returns the largest age of an angle at the crest that uses it, s. Only absolute encoders have one.
@@ -175,13 +192,6 @@ impl<T: Real> Joint<T> {
         }
     }
 
-    /// Returns true if an absolute encoder and the joint's limits tell the joint's angle at power-on. `beyond` is the
-    /// largest distance of a joint at rest from its limits, rad.
-    fn has_known_angle(&self, beyond: T) -> bool {
-        let turn = T::from_i32(ANGLE_COUNTS) * self.radians_per_count.abs();
-        let is_settled = |(low, high): (T, T)| high - low + beyond + beyond <= turn;
-        self.absolute.is_some_and(|sensor| sensor.at == EncoderAt::Joint || self.limits.is_some_and(is_settled))
-    }
 }
 
 /// Returns the angle of one count, rad; negative if the encoder is inverted.

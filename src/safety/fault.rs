@@ -191,6 +191,9 @@ faults! {
     /// A three-phase motor has another number of pole pairs than its device file; value: pole pairs found.
     PolePairs = 42, "a motor's pole pairs are not those of its device file",
         "the value is the number found: correct pole_pairs, ratio and counts_per_turn in the device file; take your hands off, then check again";
+    /// Three frames of an absolute encoder in a row were invalid or an impossible motion; value: the last frame, or -1.
+    EncoderFrames = 43, "three angles of an absolute encoder in a row were invalid",
+        "check the encoder's magnet, supply and SPI wires; keep them short and away from wires that carry motor current";
 }
 
 impl Fault {
@@ -204,6 +207,7 @@ impl Fault {
                 | Self::EncoderIllegal
                 | Self::IndexMismatch
                 | Self::StopMissing
+                | Self::EncoderFrames
         )
     }
 }

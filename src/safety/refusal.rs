@@ -39,6 +39,8 @@ pub enum Refusal {
     NoCurrentSensor(u8),
     /// A joint's encoder is too coarse for the poles of its motor.
     EncoderTooCoarse(u8),
+    /// A joint's absolute encoder has not sent its angle.
+    EncoderSilent(u8),
     /// The polarity has not been checked with this device and its present home.
     PolarityUnchecked,
     /// A joint is outside its limits.
@@ -126,6 +128,9 @@ impl core::fmt::Display for Refusal {
                 f,
                 "the encoder of joint {joint} has fewer than 60 counts per electrical turn: use a finer one, or check `pole_pairs` and `ratio`"
             ),
+            Self::EncoderSilent(joint) => {
+                write!(f, "the absolute encoder of joint {joint} sends no valid angle: check its wires and its magnet")
+            }
             Self::PolarityUnchecked => {
                 f.write_str("motor polarity has not been checked with this device and this home: run `haptic polarity`")
             }
