@@ -210,8 +210,9 @@ fn origin(fault: Fault) -> Origin {
         | Fault::ImageDamaged
         | Fault::RamDamaged
         | Fault::WrongBoard
-        // A three-phase motor, which this rig does not have.
-        | Fault::PolePairs => Report,
+        // A three-phase motor and an absolute encoder, which this rig does not have.
+        | Fault::PolePairs
+        | Fault::EncoderFrames => Report,
     }
 }
 
@@ -252,6 +253,7 @@ fn off_time(fault: Fault) -> &'static str {
         Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch | Fault::PolePairs => {
             "when the joint was swung: some seconds"
         }
+        Fault::EncoderFrames => "in the third carrier period",
         Fault::MotorModel => "as the loop's integrator grows: some 0.2 ms",
         Fault::DriverReset => "at the next look, within 20 ms (0.2 s while a host that stops reading is waited for)",
         Fault::ClockFailure => "by the non-maskable interrupt",

@@ -15,6 +15,7 @@ use haptic_bridge::board::dispatch::{self, AfterReply};
 use haptic_bridge::board::protocol::{FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::telemetry::Packer;
+use haptic_bridge::control::absolute::frame_of;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::control::program::Hardware;
@@ -29,6 +30,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
+use std::collections::VecDeque;
 
 /// Frequency of the PWM timers, as on the real boards, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
@@ -137,6 +139,10 @@ pub struct SimulatedBoard {
     readings: u64,
     /// Counts at the last crest.
     last_counts: Counts,
+    /// Counts of absolute encoders at the last valleys, the newest last.
+    latched: VecDeque<[i32; 3]>,
+    /// Counts in the last frames of absolute encoders.
+    sent: [i32; 3],
     drive: [MotorInput; 3],
     bridges_on: bool,
     injected_fault: Option<(Fault, Option<u8>, f32)>,
@@ -190,6 +196,8 @@ impl SimulatedBoard {
             countdown: 0,
             readings: 0,
             last_counts,
+            latched: VecDeque::new(),
+            sent: *last_counts,
             drive: [MotorInput::Floating; 3],
             bridges_on: false,
             injected_fault: None,
@@ -253,8 +261,12 @@ impl SimulatedBoard {
         }
         let bus_voltage = faults.bus_reading.unwrap_or(self.device.bus_voltage()) as f32;
         let due = self.countdown == 0;
-        let counts = Counts(faults.counts(self.device.counts(), self.readings));
+        let mut counts = Counts(faults.counts(self.device.counts(), self.readings));
         self.readings += 1;
+        let axes = self.machine.control_loop.absolute_axes();
+        if axes.contains(&true) {
+            self.read_angles(&mut counts, carriers);
+        }
         let mut samples = Samples { counts, bus_voltage, currents, imbalance, late: false };
         self.machine.control_loop.read_phases(&mut samples);
         self.guard_skipped_crests(&samples, carriers);
@@ -299,14 +311,50 @@ impl SimulatedBoard {
             self.device.step(&self.drive, delay);
         }
         self.drive = self.options.faults.drives(next);
-        if period > delay {
-            self.device.step(&self.drive, period - delay);
+        // Absolute encoders latch their angles half a carrier period before the crest.
+        let mut valley = delay;
+        if axes.contains(&true) {
+            valley = (period - 0.5 * carrier).max(delay);
+            // Equal up to a rounding error if every crest has a control step.
+            if valley > 1.001 * delay {
+                self.device.step(&self.drive, valley - delay);
+            }
+            self.latch_angles(period);
+        }
+        if period > valley {
+            self.device.step(&self.drive, period - valley);
         }
         self.since_poll += period;
         if self.since_poll >= POLL_SECONDS {
             self.since_poll = 0.0;
             self.poll();
         }
+    }
+
+    /// Records the counts of the device, and drops those that no frame sends any more.
+    fn latch_angles(&mut self, period: f64) {
+        let lag = self.service.device().map_or(0.0, |device| {
+            device.joints.iter().filter_map(|joint| joint.absolute).fold(0.0, |lag: f64, sensor| lag.max(sensor.chip.delay()))
+        });
+        self.latched.push_back(self.device.counts());
+        while self.latched.len() > 1 + (lag / period).round() as usize {
+            self.latched.pop_front();
+        }
+    }
+
+    /// Replaces the counts of absolute encoders by those in their frames of `carriers` carrier periods.
+    fn read_angles(&mut self, counts: &mut Counts, carriers: u32) {
+        let oldest = self.latched.front().copied().unwrap_or(**counts);
+        let oldest = self.options.faults.counts(oldest, self.readings);
+        for nth in 1..=carriers {
+            let frames = core::array::from_fn(|axis| {
+                let moved = i64::from(oldest[axis].wrapping_sub(self.sent[axis])) * i64::from(nth) / i64::from(carriers);
+                let frame = frame_of(self.sent[axis].wrapping_add(moved as i32));
+                Some(self.options.faults.frame(axis, frame, self.readings))
+            });
+            self.machine.control_loop.read_angles(&frames, counts);
+        }
+        self.sent = oldest;
     }
 
     /// Puts a hand on the tip, which starts to follow `hand_loop` when the motors are armed. While the motors are off,

@@ -30,6 +30,8 @@ pub struct BoardFaults {
     pub share: [Option<(i32, f64)>; 3],
     /// First reading and rate of an encoder's drift, counts per reading.
     pub drift: [Option<(u64, f64)>; 3],
+    /// First disturbed frame of an absolute encoder, and the number of disturbed frames.
+    pub frames: [Option<(u64, u64)>; 3],
     /// Counts at which encoders 0 and 1 are swapped.
     pub swapped_at: Option<[i32; 2]>,
 }
@@ -49,6 +51,7 @@ impl Default for BoardFaults {
             count_offset: [0; 3],
             share: [None; 3],
             drift: [None; 3],
+            frames: [None; 3],
             swapped_at: None,
         }
     }
@@ -90,6 +93,12 @@ impl BoardFaults {
         let phase = if self.reversed[axis] && leg == 1 { phases[2] } else { phases[leg] };
         let nth = (2 * axis + leg).min(self.sensor_gain.len() - 1);
         self.sensor_gain[nth] * self.sensor_frozen[axis].unwrap_or(phase) + self.sensor_offset[nth]
+    }
+    /// Returns the `nth` frame of an absolute encoder whose intact frame is `frame`.
+    #[must_use]
+    pub fn frame(&self, axis: usize, frame: u16, nth: u64) -> u16 {
+        let is_disturbed = self.frames[axis].is_some_and(|(first, frames)| (first..first + frames).contains(&nth));
+        if is_disturbed { frame ^ 1 << (nth % 16) } else { frame }
     }
     /// Returns the encoders' `nth` reading for the true `counts`.
     #[must_use]

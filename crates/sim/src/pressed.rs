@@ -102,6 +102,7 @@ impl PressedBoard {
         let mut description = *press.device;
         for joint in &mut description.joints {
             joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS_PER_TURN, offset: 0.0, inverted: false });
+            joint.absolute = None;
             joint.limits = None;
         }
         let mechanism = AnyMechanism::<f64>::new(&description).map_err(|_| Refusal::BadDevice)?;

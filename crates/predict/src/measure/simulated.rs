@@ -53,6 +53,7 @@ impl World {
             }
             if let (Some(encoder), Some(counts)) = (&mut joint.encoder, self.counts) {
                 encoder.counts_per_turn = counts;
+                joint.absolute = None;
             }
         }
     }

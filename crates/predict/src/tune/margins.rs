@@ -148,7 +148,8 @@ impl Margins {
         let Self { mass, friction, counts, .. } = self;
         let deviation = |sign: f64| {
             let mut model = *description;
-            for encoder in model.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
+            let incremental = model.joints.iter_mut().filter(|joint| joint.absolute.is_none());
+            for encoder in incremental.filter_map(|joint| joint.encoder.as_mut()) {
                 encoder.counts_per_turn *= 1.0 + sign * counts;
             }
             let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
