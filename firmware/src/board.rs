@@ -50,6 +50,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
+use crate::angle_sensors::AngleSensors;
 use crate::gate::Gate;
 
 /// Highest level of the supply monitor, 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
@@ -155,6 +156,10 @@ pub trait Io {
     /// Connects the third legs of these axes to the carrier, and all other third legs to ground. Call while the bridges
     /// are off.
     fn connect_third_legs(&mut self, _axes: [bool; MAX_JOINTS]) {}
+    /// Returns the absolute encoders; `None` if the board has no bus for them.
+    fn angle_sensors(&mut self) -> Option<&mut AngleSensors> {
+        None
+    }
     /// Connects the bridges to the carrier, or lets them float and disables the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
     /// Returns true if the power stage reports a fault. Valid only while the power stage is enabled.

@@ -3,10 +3,7 @@
 //! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, with the clock idle low and data sampled at the falling
 //! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers.
 
-use embassy_stm32::gpio::Output;
-use embassy_stm32::mode::Blocking;
-use embassy_stm32::spi::{Error, Spi, mode::Master};
-
+use crate::angle_sensors::{Select, exchange_in_task};
 use crate::gate::GateError;
 
 /// Gain of the shunt amplifiers, V/V (control register 2, bits 3:2 = 3).
@@ -38,54 +35,41 @@ impl Inputs {
     }
 }
 
-/// The SPI bus that both drivers share.
-pub type Bus = Spi<'static, Blocking, Master>;
-
-impl From<Error> for GateError {
-    fn from(_: Error) -> Self {
-        Self::Bus
-    }
-}
-
 /// One gate driver, addressed by its chip select.
 pub struct Drv8301 {
-    select: Output<'static>,
+    select: Select,
 }
 
 impl Drv8301 {
-    /// Creates the driver with this chip select line (active low).
-    pub fn new(select: Output<'static>) -> Self {
+    /// Creates the driver with this chip select line (active low, and idle).
+    pub fn new(select: Select) -> Self {
         Self { select }
     }
 
-    fn transfer(&mut self, bus: &mut Bus, frame: u16) -> Result<u16, GateError> {
-        let mut word = [frame];
-        self.select.set_low();
-        let sent = bus.blocking_transfer_in_place(&mut word);
-        self.select.set_high();
+    fn transfer(&mut self, frame: u16) -> Result<u16, GateError> {
+        let reply = exchange_in_task(self.select, frame);
         // SLOS719F requires 400 ns of idle select between frames; this delay is 600 ns.
         cortex_m::asm::delay(100);
-        sent?;
-        Ok(word[0])
+        reply.ok_or(GateError::Bus)
     }
 
-    fn write(&mut self, bus: &mut Bus, register: u16, value: u16) -> Result<(), GateError> {
-        self.transfer(bus, (register << 11) | (value & 0x7FF))?;
+    fn write(&mut self, register: u16, value: u16) -> Result<(), GateError> {
+        self.transfer((register << 11) | (value & 0x7FF))?;
         Ok(())
     }
 
-    fn read(&mut self, bus: &mut Bus, register: u16) -> Result<u16, GateError> {
+    fn read(&mut self, register: u16) -> Result<u16, GateError> {
         let request = 0x8000 | (register << 11);
-        self.transfer(bus, request)?;
-        Ok(self.transfer(bus, request)? & 0x7FF)
+        self.transfer(request)?;
+        Ok(self.transfer(request)? & 0x7FF)
     }
 
     /// Writes the control registers, reads them back, and clears and checks the status. Call 10 ms after EN_GATE rises.
-    pub fn configure(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
-        self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
-        self.write(bus, CONTROL_2, inputs.control_2())?;
-        self.read_back(bus, inputs)?;
-        let (status_1, status_2) = self.status(bus)?;
+    pub fn configure(&mut self, inputs: Inputs) -> Result<(), GateError> {
+        self.write(CONTROL_1, CONTROL_1_VALUE)?;
+        self.write(CONTROL_2, inputs.control_2())?;
+        self.read_back(inputs)?;
+        let (status_1, status_2) = self.status()?;
         // Bit 10 of status 1 is FAULT, bit 7 of status 2 is GVDD_OV.
         if status_1 & (1 << 10) != 0 || status_2 & (1 << 7) != 0 {
             return Err(GateError::Fault(status_1, status_2));
@@ -94,14 +78,14 @@ impl Drv8301 {
     }
 
     /// Checks that the control registers hold the values that [`Drv8301::configure`] wrote.
-    pub fn read_back(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
-        let control_1 = self.read(bus, CONTROL_1)?;
-        let control_2 = self.read(bus, CONTROL_2)?;
+    pub fn read_back(&mut self, inputs: Inputs) -> Result<(), GateError> {
+        let control_1 = self.read(CONTROL_1)?;
+        let control_2 = self.read(CONTROL_2)?;
         let is_kept = control_1 == CONTROL_1_VALUE && control_2 == inputs.control_2();
         if is_kept { Ok(()) } else { Err(GateError::Readback) }
     }
 
-    pub fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
-        Ok((self.read(bus, STATUS_1)?, self.read(bus, STATUS_2)?))
+    pub fn status(&mut self, ) -> Result<(u16, u16), GateError> {
+        Ok((self.read(STATUS_1)?, self.read(STATUS_2)?))
     }
 }

@@ -183,6 +183,9 @@ impl InterruptState {
                 self.connect();
             }
         }
+        if self.step_countdown & ABSOLUTE != 0 {
+            self.read_angles();
+        }
         if self.step_countdown & (UNRECORDED | NO_STEP) != 0 {
             self.valley_missed();
         }
@@ -195,12 +198,32 @@ impl InterruptState {
             }
         }
         self.step_countdown &= !(OVERRAN | NO_STEP);
-        let between = self.step_countdown > 0;
+        let between = self.step_countdown & !ABSOLUTE > 0;
         if between {
             self.step_countdown = (self.step_countdown - 1) | NO_STEP;
             self.crest_between_steps();
         }
         between
+    }
+
+    /// Reads the absolute encoders, and shows their counts in the timers.
+    fn read_angles(&mut self) {
+        if let Some(sensors) = self.io.angle_sensors() {
+            let frames = sensors.frames();
+            compiled::read_angles(&mut self.control_loop, &frames, &mut self.samples.counts);
+            sensors.show(&self.samples.counts);
+        }
+    }
+
+    /// Uses the absolute encoders of the loaded device, or none.
+    fn connect_angle_sensors(&mut self) {
+        let axes = self.control_loop.absolute_axes();
+        if let Some(sensors) = self.io.angle_sensors() {
+            sensors.connect(axes);
+            for countdown in [&mut self.initial_countdown, &mut self.step_countdown] {
+                *countdown = *countdown & !ABSOLUTE | if axes.contains(&true) { ABSOLUTE } else { 0 };
+            }
+        }
     }
 
     /// Does the work of a crest between two control steps.
@@ -389,7 +412,9 @@ impl InterruptState {
     }
 }
 
-/// Flag in `step_countdown`: the last crest had no step.
+/// Flag in `step_countdown`: the device has absolute encoders.
+const ABSOLUTE: u32 = 1 << 27;
+/// Flag: the last crest had no step.
 const NO_STEP: u32 = 1 << 28;
 /// Flag: the bridges should drive and are not connected yet.
 const UNCONNECTED: u32 = 1 << 29;

@@ -6,6 +6,8 @@
 #![no_main]
 
 mod adc;
+#[cfg_attr(feature = "toy-board", allow(dead_code, reason = "the toy board has no absolute encoders"))]
+mod angle_sensors;
 mod board;
 mod clock;
 mod critical;

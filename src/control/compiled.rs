@@ -27,6 +27,13 @@ pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
     control_loop.render(counts);
 }
 
+/// Replaces the counts of absolute encoders by those of their frames, see [`ControlLoop::read_angles`].
+#[cold]
+#[inline(never)]
+pub fn read_angles(control_loop: &mut BoardControlLoop, frames: &[Option<u16>; MAX_JOINTS], counts: &mut Counts) {
+    control_loop.read_angles(frames, counts);
+}
+
 /// Finishes a crest with a control step after [`render`]: checks the limits, finishes the step and writes the compare
 /// values of every bridge's legs for the next carrier period. Returns true if the bridges may drive. Replaces the
 /// currents of three-phase motors in `seen` by their torque currents.

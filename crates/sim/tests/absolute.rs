@@ -127,6 +127,7 @@ fn two_disturbed_frames_are_tolerated_and_the_third_turns_the_motors_off() {
         simulated.run(0.0003);
         let status = simulated.status();
         assert_eq!((status.state, status.fault.map(|fault| fault.fault)), (State::Fault, Some(Fault::EncoderFrames)));
+        simulated.device_mut().place([0.2, 0.0, 0.0]);
         simulated.run(0.01);
     }
     // The encoder is intact again and tells the angle.

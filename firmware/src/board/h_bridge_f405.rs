@@ -33,6 +33,8 @@ impl Wires for HBridgeF405 {
             gates: [p.PA8.into(), p.PA9.into(), p.PA10.into(), p.PB13.into(), p.PB14.into(), p.PB15.into()],
             sensors: [p.PC0.into(), p.PC1.into(), p.PC2.into(), p.PC3.into()],
             encoders: [[p.PA15.into(), p.PB3.into()], [p.PB4.into(), p.PB5.into()], [p.PB6.into(), p.PB7.into()]],
+            bus: [p.PC10.into(), p.PC11.into(), p.PC12.into()],
+            selects: [p.PA2.into(), p.PA3.into(), p.PB0.into()],
         };
         (pins, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }

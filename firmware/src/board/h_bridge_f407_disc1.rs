@@ -39,6 +39,8 @@ impl Wires for HBridgeF407Disc1 {
             gates: [p.PE9.into(), p.PE11.into(), p.PE13.into(), p.PE8.into(), p.PE10.into(), p.PE12.into()],
             sensors: [p.PC1.into(), p.PC2.into(), p.PA1.into(), p.PC4.into()],
             encoders: [[p.PA15.into(), p.PB3.into()], [p.PB4.into(), p.PB5.into()], [p.PB6.into(), p.PB7.into()]],
+            bus: [p.PC10.into(), p.PC11.into(), p.PC12.into()],
+            selects: [p.PA2.into(), p.PA3.into(), p.PB0.into()],
         };
         (pins, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }

@@ -22,6 +22,7 @@ use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io};
 use crate::adc;
+use crate::angle_sensors::{self, AngleSensors, Select};
 use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
@@ -39,6 +40,9 @@ const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_
 /// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5
 /// % of the halved supply, behind the divider. A larger distance means at least 0.9 A through a bridge that is off.
 const MAX_ZERO_DISTANCE: u16 = 136;
+
+/// Chip selects of absolute encoders.
+const ENCODER_SELECTS: [Select; AXES] = [(pac::GPIOA, 2), (pac::GPIOA, 3), (pac::GPIOB, 0)];
 
 /// The wiring of a board with H-bridges. All boards use the encoder pins PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
@@ -70,6 +74,9 @@ pub struct Pins {
     pub sensors: [AnyPeri; AXES + 1],
     /// Channels A and B of each encoder.
     pub encoders: [[AnyPeri; 2]; AXES],
+    /// Clock, input and output of the bus of absolute encoders, and their chip selects.
+    pub bus: [AnyPeri; 3],
+    pub selects: [AnyPeri; AXES],
 }
 
 /// A board with these wires.
@@ -133,6 +140,9 @@ impl<W: Wires> Board for HBridges<W> {
             pwm::outputs(pins.gates.map(Flex::new), 1);
             adc::inputs(pins.sensors.map(Flex::new));
             index::latch(W::INDEX_LINES[0] | W::INDEX_LINES[1] | W::INDEX_LINES[2]);
+            pins.selects.map(angle_sensors::idle_select);
+            let [clock, input, output] = pins.bus;
+            angle_sensors::start_bus(clock, input, output);
             let [first, second, third] = pins.encoders.map(|channels| channels.map(Flex::new));
             start_encoder(encoder::TIM2, first, 1);
             start_encoder(pac::TIM3, second, 2);
@@ -142,7 +152,8 @@ impl<W: Wires> Board for HBridges<W> {
             pwm::lock(port, pins);
         }
 
-        let io = BridgeIo { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
+        let angle_sensors = AngleSensors::new(&ENCODER_SELECTS, [encoder::TIM2, pac::TIM3, pac::TIM4]);
+        let io = BridgeIo { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, angle_sensors, wires: PhantomData };
         (io, board.then_some(EnableLine), common)
     }
 }
@@ -157,6 +168,7 @@ pub struct BridgeIo<W> {
     /// Zero error of each sensor's reading, A.
     offsets: [f32; AXES],
     carrier: Carrier,
+    angle_sensors: AngleSensors,
     wires: PhantomData<W>,
 }
 
@@ -220,6 +232,10 @@ impl<W: Wires> Io for BridgeIo<W> {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));
+    }
+
+    fn angle_sensors(&mut self) -> Option<&mut AngleSensors> {
+        Some(&mut self.angle_sensors)
     }
 
     #[inline]

@@ -7,8 +7,6 @@
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimAdv;
-use embassy_stm32::spi::{self, Spi};
-use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
 use haptic_bridge::control::compiled::Legs;
@@ -22,6 +20,7 @@ use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
+use crate::angle_sensors::{self, AngleSensors, Select};
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
 use crate::encoder;
@@ -47,6 +46,10 @@ const BUS_DIVIDER: f32 = 19.0;
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
 /// Masks of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 9, 1 << 15];
+/// Chip selects of absolute encoders, GPIO 3 and 4 of the header.
+const ENCODER_SELECTS: [Select; AXES] = [(pac::GPIOA, 2), (pac::GPIOA, 3)];
+/// Chip selects of the gate drivers.
+const DRIVER_SELECTS: [Select; AXES] = [(pac::GPIOC, 13), (pac::GPIOC, 14)];
 /// Bit of EN_GATE in port B.
 const EN_GATE: usize = 12;
 /// Bit of nFAULT in port D.
@@ -132,16 +135,12 @@ impl Board for OdriveV3 {
             encoder::start(encoder::TIM2, Flex::new(p.PA15), Flex::new(p.PB3), 1);
             index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
 
-            let mut config = spi::Config::default();
-            config.mode = spi::MODE_1;
-            config.frequency = Hertz(2_000_000);
-            Drivers {
-                bus: Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config),
-                drivers: [
-                    Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
-                    Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
-                ],
+            // A floating select would let an encoder answer in place of a gate driver.
+            for pin in [p.PA2.into(), p.PA3.into(), p.PC13.into(), p.PC14.into()] {
+                angle_sensors::idle_select(pin);
             }
+            angle_sensors::start_bus(p.PC10.into(), p.PC11.into(), p.PC12.into());
+            Drivers { drivers: DRIVER_SELECTS.map(Drv8301::new) }
         });
         pwm::lock(pac::GPIOA, 0b1111 << 7);
         pwm::lock(pac::GPIOB, 0b11 | 0b11_1111 << 10);
@@ -153,6 +152,7 @@ impl Board for OdriveV3 {
             offsets: [ZeroOffsets { current: 0.0, imbalance: 0.0 }; AXES],
             carrier,
             has_third_legs: false,
+            angle_sensors: AngleSensors::new(&ENCODER_SELECTS, [pac::TIM3, pac::TIM4, encoder::TIM2]),
         };
         (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
@@ -165,6 +165,7 @@ pub struct Pins {
     carrier: Carrier,
     /// True if a three-phase motor is loaded.
     has_third_legs: bool,
+    angle_sensors: AngleSensors,
 }
 
 /// Zero errors of an axis's two sensors, A: `current` is half their difference, `imbalance` their sum.
@@ -274,6 +275,10 @@ impl Io for Pins {
         self.has_third_legs = axes.contains(&true);
     }
 
+    fn angle_sensors(&mut self) -> Option<&mut AngleSensors> {
+        Some(&mut self.angle_sensors)
+    }
+
     #[inline]
     fn drive(&mut self, on: bool) {
         if on {
@@ -310,21 +315,20 @@ impl Io for Pins {
 
 /// The part that the tasks own: the gate drivers.
 pub struct Drivers {
-    bus: drv8301::Bus,
     drivers: [Drv8301; AXES],
 }
 
 impl Drivers {
     fn configure(&mut self) -> Result<(), GateError> {
         for driver in &mut self.drivers {
-            driver.configure(&mut self.bus, Inputs::Shorted)?;
+            driver.configure(Inputs::Shorted)?;
         }
         let zero = learn_or_check_zeros(Zeroing::Learn);
         if zero > MAX_ZERO_DISTANCE {
             return Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT));
         }
         for driver in &mut self.drivers {
-            driver.configure(&mut self.bus, Inputs::Shunts)?;
+            driver.configure(Inputs::Shunts)?;
         }
         let stray = learn_or_check_zeros(Zeroing::Check);
         let current = f32::from(stray) * AMPERES_PER_COUNT;
@@ -348,6 +352,6 @@ impl Gate for Drivers {
 
     /// Checks that both drivers still hold their configuration. Takes 130 us.
     fn check(&mut self) -> Result<(), GateError> {
-        self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
+        self.drivers.iter_mut().try_for_each(|driver| driver.read_back(Inputs::Shunts))
     }
 }

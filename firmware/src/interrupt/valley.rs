@@ -8,7 +8,7 @@ use haptic_bridge::control::{Command, compiled};
 
 use super::exchange::{Exchange, Outcome, Request};
 use super::shared::increment;
-use super::{CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, initial_countdown};
+use super::{ABSOLUTE, CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, initial_countdown};
 use crate::board::Io as _;
 use crate::warmth;
 
@@ -16,6 +16,9 @@ impl InterruptState {
     #[inline(always)]
     pub(super) fn valley(&mut self) {
         self.cycles_at_valley = DWT::cycle_count();
+        if self.step_countdown & ABSOLUTE != 0 {
+            self.latch_angles();
+        }
         if !self.is_driving {
             self.valley_floating();
         }
@@ -44,6 +47,14 @@ impl InterruptState {
             if self.is_driving && self.cycles_since_valley() > 2 * u32::from(self.io.carrier().top) {
                 self.crest_missed();
             }
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn latch_angles(&mut self) {
+        if let Some(sensors) = self.io.angle_sensors() {
+            sensors.latch();
         }
     }
 
@@ -124,6 +135,7 @@ impl InterruptState {
                 if let Request::Install(program) = core::mem::replace(request, Request::None) {
                     reply.1 = self.control_loop.install(program);
                     self.io.connect_third_legs(self.control_loop.three_phase_axes());
+                    self.connect_angle_sensors();
                 }
             }
             Request::Command(command) => {
@@ -137,7 +149,8 @@ impl InterruptState {
                 if !self.is_driving {
                     self.io.set_carrier(*carrier);
                     self.ticks = carrier.ticks();
-                    (self.initial_countdown, self.step_countdown) = (initial_countdown(carrier), 0);
+                    let absolute = self.initial_countdown & ABSOLUTE;
+                    (self.initial_countdown, self.step_countdown) = (initial_countdown(carrier) | absolute, absolute);
                     let longest = CONTROL.shared.longest_cycles.load(Ordering::Relaxed);
                     CONTROL
                         .shared
