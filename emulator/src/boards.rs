@@ -86,6 +86,8 @@ pub struct Wiring {
     pub supply_mv: u32,
     /// Chip-select pins of the gate drivers on SPI3.
     pub driver_selects: &'static [Pin],
+    /// Chip-select pins of absolute encoders on SPI3, one for each axis.
+    pub encoder_selects: &'static [Pin],
     /// Nominal bus voltage, V.
     pub bus_voltage: f64,
     /// Zero offset of each current sensor, V. Shunt amplifiers have a few millivolts. Hall sensors are trimmed to zero.
@@ -151,6 +153,7 @@ static ODRIVE_V3: Wiring = Wiring {
     pins_held_high: &[Pin('C', 5)],
     supply_mv: 3300,
     driver_selects: &[Pin('C', 13), Pin('C', 14)],
+    encoder_selects: &[Pin('A', 2), Pin('A', 3)],
     bus_voltage: 24.0,
     sensor_offsets: [0.008, -0.005, 0.003, -0.011],
     dead_time: 20.0 / 168e6,
@@ -177,6 +180,7 @@ static H_BRIDGE_F405: Wiring = Wiring {
     pins_held_high: &[],
     supply_mv: 3300,
     driver_selects: &[],
+    encoder_selects: &[Pin('A', 2), Pin('A', 3), Pin('B', 0)],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
     dead_time: 0.0,
@@ -213,6 +217,7 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
     pins_held_high: &[Pin('B', 9)],
     supply_mv: 3000,
     driver_selects: &[],
+    encoder_selects: &[Pin('A', 2), Pin('A', 3), Pin('B', 0)],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
     dead_time: 0.0,

@@ -20,6 +20,7 @@ use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 
+use crate::angle_encoder::AngleEncoder;
 use crate::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use crate::chip::Chip;
 use crate::chip::trigger::{REFERENCE_UV, Span};
@@ -131,12 +132,23 @@ impl Hardware {
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
         }
+        for select in wiring.encoder_selects {
+            let (port, pin) = port_and_pin(*select);
+            let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
+            hardware.chip.spi[SPI3].attach_selected(AngleEncoder::default(), select);
+        }
         Ok(hardware)
     }
 
     /// Returns the nth gate driver.
     pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
+    }
+
+    /// Returns the absolute encoder of an axis.
+    pub fn angle_encoder(&mut self, axis: usize) -> &mut AngleEncoder {
+        let drivers = self.wiring.map_or(0, |wiring| wiring.driver_selects.len());
+        self.chip.spi[SPI3].chip_mut(drivers + axis).expect("the board has this axis")
     }
 
     /// Returns the motor inputs of the last step.
@@ -212,8 +224,12 @@ impl Hardware {
             self.peaks.update(&mut *self.plant);
             self.samples += 1;
         }
-        for (encoder, counts) in self.encoders.iter_mut().zip(self.faults.counts(self.plant.counts(), self.samples)) {
-            encoder.wanted_count = counts;
+        let (counts, absolute) = (self.faults.counts(self.plant.counts(), self.samples), self.plant.absolute_axes());
+        for axis in 0..wiring.encoders.len() {
+            match absolute[axis] {
+                true => self.angle_encoder(axis).turn_to(counts[axis]),
+                false => self.encoders[axis].wanted_count = counts[axis],
+            }
         }
         self.set_analog_inputs(wiring);
         self.set_levels(wiring, at);

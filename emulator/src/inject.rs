@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 
 use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::model::description::Homing;
+use haptic_bridge::model::description::{ANGLE_COUNTS, AngleChip, AngleSensor, Encoder, EncoderAt, Homing};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
@@ -60,6 +60,20 @@ fn rig_in_contact() -> Rig {
 /// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
     Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[NearWall::with_normal([0.0, -1.0, 0.0])], newtons)
+}
+
+/// Returns an armed rig with absolute encoders at its joints, which is not homed.
+fn armed_rig_with_absolute_encoders() -> Rig {
+    let mut file = device_file(FIVE_BAR);
+    for joint in &mut file.description.joints[..2] {
+        joint.absolute = Some(AngleSensor { chip: AngleChip::As5047, at: EncoderAt::Joint });
+        joint.encoder = Some(Encoder { counts_per_turn: ANGLE_COUNTS.into(), offset: 0.3, inverted: false });
+    }
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
+    rig.load("");
+    rig.check_polarity();
+    rig.arm();
+    rig
 }
 
 fn free_rig_on(kind: BoardKind) -> Rig {
@@ -363,6 +377,12 @@ pub fn injection(fault: Fault) -> Injection {
                 rig.tool.check_polarity().expect("the check starts");
             },
             30_000,
+        ),
+        Fault::EncoderFrames => chip(
+            "an absolute encoder whose frames are disturbed",
+            armed_rig_with_absolute_encoders,
+            |rig| rig.while_stopped(|stopped| stopped.hardware().angle_encoder(1).disturb(u32::MAX)),
+            1,
         ),
         Fault::PolePairs => Cause::Elsewhere("crates/sim/tests/brushless.rs"),
         Fault::ResistanceMismatch => chip(

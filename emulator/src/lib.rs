@@ -5,6 +5,7 @@
 //!
 //! Functions that prepare or drive a board panic if the board refuses a request or the image lacks a symbol.
 
+pub mod angle_encoder;
 pub mod boards;
 pub mod campaign;
 pub mod cases;

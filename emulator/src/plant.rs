@@ -10,6 +10,10 @@ pub trait Plant: Debug + Send {
     fn step(&mut self, drives: &[MotorInput; 3], dt: f64);
     /// Returns the encoder counts (quadrature edges) since power-on.
     fn counts(&self) -> [i32; 3];
+    /// Returns true for each axis with an absolute encoder.
+    fn absolute_axes(&self) -> [bool; 3] {
+        [false; 3]
+    }
     /// Returns true for each encoder whose index mark is at the sensor.
     fn index(&self) -> [bool; 3];
     /// Returns the winding currents, A. A positive duty makes a positive current.
@@ -32,6 +36,9 @@ impl Plant for SimulatedDevice {
     }
     fn counts(&self) -> [i32; 3] {
         SimulatedDevice::counts(self)
+    }
+    fn absolute_axes(&self) -> [bool; 3] {
+        SimulatedDevice::absolute_axes(self)
     }
     fn index(&self) -> [bool; 3] {
         SimulatedDevice::index(self)

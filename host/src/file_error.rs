@@ -212,8 +212,8 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["type", "absolute", "bits", "sensor", "chip", "spi", "i2c", "pwm", "analog"],
         "encoder",
-        "boards read incremental encoders with A and B only; an absolute or analog encoder cannot be described yet: \
-         use its A and B outputs, if it has them (docs/devices.md)",
+        "write kind = \"as5047\" or \"as5048\" for these encoders on SPI; of others boards read A and B outputs only \
+         (docs/devices.md)",
     ),
     (
         &["index", "index_offset", "index_angle"],

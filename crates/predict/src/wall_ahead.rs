@@ -8,7 +8,6 @@ use haptic_host::error::Failure;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
 use haptic_host::vectors::padded;
 use haptic_sim::HandLoop;
-use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::sampled::Mode;
@@ -134,8 +133,8 @@ fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
         cutoff_hz: DEFAULT_CUTOFF_HZ as f32,
         ..Scene::default()
     };
-    let (subject, path) =
-        (Subject::new(&file.description).map_err(Failure::wrong)?, TorquePath::usual(DEFAULT_RATE_HZ));
+    let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+    let path = subject.torque_path(DEFAULT_RATE_HZ);
     let Some(prediction) = Prediction::in_scene(&subject, &scene.cast(), None, &path) else { return Ok(scene) };
     let (_, largest_damping) = prediction.stiffness_at(q, &normal, Mode::Off, 0.0)?;
     let damping = 0.2 * largest_damping;

@@ -97,6 +97,7 @@ pub struct SimulatedDevice {
     plant: Plant,
     motors: Vec<AnyMotor>,
     encoders: Vec<EncoderModel>,
+    absolute: [bool; 3],
     sensed: [i32; MAX_SENSED],
     hand: Hand,
     support: Support,
@@ -147,6 +148,7 @@ impl SimulatedDevice {
             plant,
             motors,
             encoders,
+            absolute: core::array::from_fn(|i| description.joints[i].absolute.is_some()),
             sensed: [0; MAX_SENSED],
             hand: Hand::none(),
             support: Support::None,
@@ -258,6 +260,10 @@ impl SimulatedDevice {
     pub fn counts(&self) -> [i32; 3] {
         let [first, second, third, ..] = self.inputs();
         [first, second, third]
+    }
+    /// Returns, for each encoder, true if it is absolute.
+    pub fn absolute_axes(&self) -> [bool; 3] {
+        self.absolute
     }
     /// Returns, for each encoder, true if its index mark is under the sensor.
     pub fn index(&self) -> [bool; 3] {

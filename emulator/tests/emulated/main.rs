@@ -1,6 +1,7 @@
 //! The release firmware of every board on the emulated chip, through the real protocol, with a simulated device.
 //! Virtual time stands still during a test's checks, so every run has the same bytes at the same times.
 
+mod absolute;
 mod arming;
 mod boot;
 mod brushless;

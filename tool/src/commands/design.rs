@@ -13,7 +13,7 @@ use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivit
 use haptic_predict::design::{StiffestWalls, singular_pose};
 use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_show::plot::coupling::draw;
-use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::control_loop::Loop;
 use haptic_stability::analysis::estimator::LinearEstimator;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
@@ -116,7 +116,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.holding.admissible,
         &sweep,
     )?;
-    let (path, subject) = (TorquePath::usual(args.rate), Subject::new(description).map_err(Failure::wrong)?);
+    let subject = Subject::new(description).map_err(Failure::wrong)?;
+    let path = subject.torque_path(args.rate);
     let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
     let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, control_loop) };
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;

@@ -7,7 +7,7 @@ use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, comparison_wall};
-use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::control_loop::Loop;
 use haptic_stability::analysis::estimator::LinearEstimator;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::several::Member;
@@ -67,9 +67,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
     let sweep = args.continued.sweep("estimators", &question)?.in_lines();
     let rows = compare(&comparison, &sweep)?;
-    let path = TorquePath::usual(args.rate);
+    let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+    let path = subject.torque_path(args.rate);
     let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(cutoff));
-    let options = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, control_loop)
+    let options = Prediction::new(subject, control_loop)
         .options(&q, &[Member::new(normal.clone(), 1.0)]);
     let document = json!({
         "device": file.name, "options": options, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,

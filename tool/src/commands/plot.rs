@@ -12,7 +12,6 @@ use haptic_host::words::short;
 use haptic_predict::plausible::scene::contact_limits_at;
 use haptic_show::plot::signals::{Analysis, Request, View, draw, panels};
 use haptic_show::recorder::Recording;
-use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::prediction::Subject;
 use std::path::PathBuf;
 
@@ -119,7 +118,7 @@ fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> R
     let joints = columns(Fields(Field::Angle.bit()), &file.description.units(), 0);
     let q: Vec<f64> = joints.iter().map(|joint| column(&joint.label).map(mean)).collect::<Result<_, _>>()?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
-    Ok(contact_limits_at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
+    Ok(contact_limits_at(&subject, &scene, 0, &q, &subject.torque_path(scene.rate_hz)).and_then(|contact| contact.felt))
 }
 
 fn readable(recording: &Recording, found: &Analysis, felt: Option<f64>) -> String {

@@ -15,7 +15,7 @@ use haptic_host::words::joint_units;
 use haptic_predict::boards::BoardKind;
 use haptic_predict::plausible::{FileWarning, WithWarnings, warn};
 use haptic_show::plot::range::{Contents, draw};
-use haptic_stability::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath, usual_delay};
+use haptic_stability::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath};
 use haptic_stability::analysis::flexible::{Hand, Posture};
 use haptic_stability::analysis::host::Host;
 use haptic_stability::analysis::passivity::Passivity;
@@ -130,10 +130,10 @@ enum DriveKind {
 
 impl Args {
     /// Returns the delay in control samples.
-    fn delay(&self) -> f64 {
+    fn delay(&self, subject: &Subject) -> f64 {
         match self.board {
             // Both boards sample at the middle of a carrier period and apply the duty at its end.
-            Some(_) => usual_delay(self.rate),
+            Some(_) => subject.torque_path(self.rate).delay_samples,
             None => self.delay.unwrap_or(0.0),
         }
     }
@@ -174,10 +174,10 @@ impl Args {
                     .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
             })?),
         };
-        let path = TorquePath { delay_samples: self.delay(), drive };
+        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+        let path = TorquePath { delay_samples: self.delay(&subject), drive };
         let mut control_loop = Loop::with_torque_path(&path, self.rate, requested_estimator(self)?);
         control_loop.damping_compensation = self.damping_compensation;
-        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
             admissible: self.holding.admissible,

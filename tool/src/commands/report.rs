@@ -12,7 +12,7 @@ use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_host::words::{percent, with_unit};
 use haptic_predict::design::place::directions;
 use haptic_predict::plausible::scene::file_warnings;
-use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::control_loop::Loop;
 use haptic_stability::analysis::prediction::{self, Prediction};
 use haptic_stability::analysis::range::WORTHWHILE_RATIO;
 use haptic_stability::analysis::sampled::LinearEstimator;
@@ -144,7 +144,7 @@ fn page_values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let wall = scene.as_ref().and_then(|scene| scene.walls.first());
     let rate = scene.as_ref().map_or(DEFAULT_RATE_HZ, |scene| scene.rate_hz);
     let cutoff = scene.as_ref().map_or(DEFAULT_CUTOFF_HZ, |scene| scene.cutoff_hz);
-    let path = TorquePath::usual(rate);
+    let path = device.torque_path(rate);
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
         // Shows the usual estimator in place of one without a linear analysis.

@@ -20,7 +20,6 @@ use haptic_predict::tune::{
     Alternative, Baseline, Margins, Question, RATES_HZ, Settings, TuneResult, TunedWall, USUAL_RIPPLE_N, baseline,
     ripple_like, to_toml, tune,
 };
-use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::prediction::Subject;
 use serde::Serialize;
 use std::fmt::Write;
@@ -209,7 +208,7 @@ fn search(args: Search) -> Result<(), Failure> {
     let options = Subject::new(&file.description)
         .ok()
         .and_then(|subject| {
-            contact_limits_at(&subject, &tuned.scene, 0, &question.q, &TorquePath::usual(tuned.scene.rate_hz))
+            contact_limits_at(&subject, &tuned.scene, 0, &question.q, &subject.torque_path(tuned.scene.rate_hz))
         })
         .map(|contact| contact.options);
     let scene: Scene<f32> =

@@ -260,7 +260,7 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (motor, "pole_pairs = 7", "brushed motors only"),
         (encoder, "lines = 1024", "counts_per_turn = 4 x lines x gear ratio"),
         (encoder, "cpr = 4096", "counts_per_turn = the edges of A and B"),
-        (encoder, "type = \"AS5047\"", "incremental encoders with A and B only"),
+        (encoder, "type = \"AS5047\"", "write kind = \"as5047\" or \"as5048\""),
         (encoder, "index = true", "set `offset`"),
         (encoder, "noise = 2.0", "cannot be described yet"),
         (joint, "backlash = 0.01", "cannot be described yet"),
@@ -316,6 +316,40 @@ fn an_encoder_needs_only_its_counts() {
     let short = replace_once(DEVICE, "offset = 0.0\ninverted = false\n", "");
     let of = |text: &str| DeviceFile::parse(text, "device").map(|file| file.description);
     assert_eq!(of(&short), of(DEVICE));
+}
+
+#[test]
+fn contradictions_of_absolute_encoders_are_refused() {
+    let counts = "counts_per_turn = 16384\n";
+    let kind = "kind = \"as5047\"\n";
+    let compliant = "limits = [-1.0, 3.0]\n[joint.transmission]\nstiffness = 50.0\nencoder_at = \"motor\"\n";
+    for (changes, words) in [
+        (&[(counts, "kind = \"as5600\"\n")][..], "`kind` in [joint.encoder] of [[joint]] 0 is \"as5600\""),
+        (&[(counts, "kind = \"as5047\"\ncounts_per_turn = 4096\n")], "an as5047 always has 16384 counts"),
+        (&[(counts, "kind = \"as5048\"\nat = \"link\"\n")], "`at` in [joint.encoder] of [[joint]] 0 is \"link\""),
+        (&[(counts, "at = \"joint\"\ncounts_per_turn = 16384\n")], "unknown key `at`"),
+        (&[(counts, kind), ("torque_constant", "ratio = 0.0\ntorque_constant")], "`ratio` in [joint.motor]"),
+        (&[(counts, "kind = \"as5047\"\nat = \"joint\"\n"), ("limits = [-1.0, 3.0]\n", compliant)], "different shafts"),
+        (&[(counts, kind), ("q = [2.4, 0.7]", "q = [2.4, 0.7]\nby = \"index\"")], "of joint 0 has no index mark"),
+    ] {
+        let text = changes.iter().fold(DEVICE.to_string(), |text, (from, to)| replace_once(&text, from, to));
+        let error = DeviceFile::parse(&text, "device").expect_err(words).to_string();
+        assert!(error.lines().count() == 1 && error.contains(words), "{words}: {error}");
+    }
+    let slide = "name = \"slide\"\nmechanism = \"chain\"\ngravity = [0.0, 0.0, 0.0]\n[geometry]\ntip = [0.0, 0.0, 0.0]\n\
+                 task = [\"z\"]\n[[link]]\nmass = 0.1\ncom = [0.0, 0.0, 0.0]\ninertia = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n\
+                 [[joint]]\ntype = \"prismatic\"\ninertia = 0.01\n[joint.encoder]\nkind = \"as5047\"\n";
+    for (more, words) in [("at = \"joint\"\n", "a slide does not turn"), ("", "turns_per_metre = 25")] {
+        let error = DeviceFile::parse(&format!("{slide}{more}"), "device").expect_err(words).to_string();
+        assert!(error.contains(words), "{words}: {error}");
+    }
+    // The counts per turn of the joint follow from the ratio.
+    let motor = "[joint.motor]\nturns_per_metre = 40.0\nforce_constant = 5.0\nresistance = 2.0\nmax_current = 1.0\n";
+    let file = DeviceFile::parse(&format!("{slide}{motor}"), "device").expect("a valid file");
+    let counts = file.description.joints[0].encoder.expect("an encoder").counts_per_turn / std::f64::consts::TAU;
+    assert!((counts - 40.0 * 16_384.0).abs() < 1e-6, "{counts} per metre");
+    let text = haptic_host::read_back::to_toml(&[], &haptic_host::read_back::device_entries(&file.device().expect("a device")));
+    assert!(text.contains("kind = \"as5047\"\nat = \"motor\"") && text.contains("turns_per_metre = 40.0"), "{text}");
 }
 
 type Parser = fn(&str) -> Result<(), FileError>;

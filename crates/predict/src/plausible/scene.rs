@@ -115,7 +115,7 @@ pub fn default_hand() -> Hand {
 /// Returns all warnings about a scene, and the limits of each wall at the pose in which the tip touches it.
 pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>, Vec<Contact>) {
     let (mut warnings, mut contacts) = (Vec::new(), Vec::new());
-    let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
+    let (device, path) = (&subject.device, subject.torque_path(scene.rate_hz));
     for (index, wall) in scene.walls.iter().enumerate() {
         match first_touch(device, &wall.surface) {
             FirstTouch::At(q, normal) => {

@@ -1,5 +1,6 @@
 //! The device of a prediction: a board's device and the compliant parts between its motors and links.
 
+use super::control_loop::TorquePath;
 use super::flexible::Flexible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, DescriptionError, Joint};
@@ -26,6 +27,15 @@ impl Subject {
     pub fn on_board(device: Device<f64>, file: Option<&DeviceFile>) -> Self {
         let same = |file: &&DeviceFile| file.device::<f32>().is_ok_and(|described| described == device.cast());
         Self { joints: file.filter(same).map(|file| file.description.joints), device }
+    }
+
+    /// Returns the default torque path of a board with this device at this control rate (Hz).
+    #[must_use]
+    pub fn torque_path(&self, rate_hz: f64) -> TorquePath {
+        let usual = TorquePath::usual(rate_hz);
+        // The delay without absolute encoders is half a carrier period.
+        let age = self.device.angle_age(0.5 / usual.delay_samples * rate_hz);
+        TorquePath { delay_samples: usual.delay_samples + age * rate_hz, ..usual }
     }
 
     /// Removes joint damping.
