@@ -218,6 +218,14 @@ impl ThreePhase {
         self.direct.settle(PHASE_SHARE * bus_voltage, 0.0, 0.0, 0.0);
     }
 
+    /// Returns the difference of the direct axis's voltage from the model, and the largest difference of a sound motor,
+    /// V. A rotor that turns at another angle than the frame induces a voltage here; `emf_tolerance` (V) is the part
+    /// that the error of a sound alignment may explain.
+    pub(super) fn direct_strain(&self, emf_tolerance: f32) -> (f32, f32) {
+        let (strain, _, most) = self.direct.strain();
+        (strain, most + emf_tolerance)
+    }
+
     pub(super) fn rest(&mut self) {
         self.direct.rest();
     }

@@ -196,8 +196,15 @@ impl Stage for MotorStage {
         }
     }
 
+    /// Returns the strain of the direct axis of a three-phase motor if it is above its bound.
     #[inline(always)]
     fn strain(&self) -> (f32, f32, f32) {
+        if let Some(three_phase) = &self.three_phase {
+            let (strain, most) = three_phase.direct_strain(self.axis.emf_tolerance());
+            if strain.abs() > most {
+                return (strain, most, most);
+            }
+        }
         self.axis.strain()
     }
 

@@ -50,6 +50,13 @@ impl<T: Real> Motor<T> {
         }
     }
 
+    /// Returns the supply voltage that drives this current (A) through the motor at rest, V. Space-vector modulation
+    /// gives a phase at most 1/√3 of the supply.
+    pub fn supply_at_rest(&self, current: T) -> T {
+        let line_to_phase = if matches!(self.winding, Winding::Brushed) { 1.0 } else { 1.732_050_807_568_877_2 };
+        self.resistance * current * T::from_f64(line_to_phase)
+    }
+
     /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Motor<U> {
         Motor {
