@@ -24,7 +24,6 @@ const DEAD_TIME_KNEE: f32 = 0.1;
 const MIN_COUNTS_PER_TURN: f32 = 60.0;
 /// Units of a binary angle in a turn.
 const TURN: f32 = 4_294_967_296.0;
-const HALF_TURN: u32 = 1 << 31;
 
 /// Returns true if a count that turns the field by this electrical angle (rad) is fine enough for commutation.
 pub(crate) fn resolves(angle_per_count: f32) -> bool {
@@ -120,11 +119,10 @@ impl ThreePhase {
     }
 
     /// Implements [`Stage::align`]. If the phases are exchanged, the vectors of the stator are mirrored, so that the motor
-    /// turns forward in all other equations. Its torque also had the other sign in the standing frame in which
-    /// `electrical` was measured.
+    /// turns forward in all other equations.
     pub(super) fn align(&mut self, BinaryAngle(electrical): BinaryAngle, count: i32, reversed: bool) {
         self.mirror = if reversed { -1.0 } else { 1.0 };
-        let forward = if reversed { HALF_TURN.wrapping_sub(electrical) } else { electrical };
+        let forward = if reversed { electrical.wrapping_neg() } else { electrical };
         let turned = count.wrapping_mul(self.angle_per_count) as u32;
         self.frame = Frame::Rotor(BinaryAngle(forward.wrapping_sub(turned)));
     }

@@ -160,10 +160,13 @@ impl Stage for MotorStage {
 
     #[inline(always)]
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
+        let Some(three_phase) = &mut self.three_phase else {
+            return self.axis.settle(bus_voltage, given, speed, raw);
+        };
+        three_phase.settle(bus_voltage);
+        // A frame that stands still is driven without the back-EMF.
+        let given = if let Frame::Rotor(_) = three_phase.frame() { given } else { 0.0 };
         self.axis.settle(bus_voltage, given, speed, raw);
-        if let Some(three_phase) = &mut self.three_phase {
-            three_phase.settle(bus_voltage);
-        }
     }
 
     fn back_emf_current(&self, speed: f32) -> f32 {
