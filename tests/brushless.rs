@@ -3,9 +3,8 @@
 //! The motor is written in its stator's frame: each phase is a resistance, an inductance and a sinusoidal back-EMF
 //! between its leg and the neutral point.
 
-use haptic_bridge::drive::brushless::Frame;
 use haptic_bridge::drive::motor_stage::{MotorDrive, MotorStage};
-use haptic_bridge::drive::stage::{Bridge, MAX_DUTY, Stage, Supply};
+use haptic_bridge::drive::stage::{Bridge, Frame, MAX_DUTY, Stage, Supply};
 use haptic_bridge::math::BinaryAngle;
 use haptic_bridge::model::motor::{Motor, Winding};
 use std::f64::consts::TAU;

@@ -10,7 +10,7 @@
 //! phases reaches the bus voltage. The voltage of a phase is at most bus/√3; the direct axis has the first claim on it.
 
 use super::brushed::Axis;
-use super::stage::{Bridge, MAX_DUTY, Stage, Supply};
+use super::stage::{Bridge, Frame, MAX_DUTY, Stage, Supply};
 use crate::math::{BinaryAngle, clamp, sqrt, table_sin_cos};
 use crate::model::motor::{Motor, Winding};
 
@@ -28,18 +28,6 @@ const TURN: f32 = 4_294_967_296.0;
 /// Returns true if a count that turns the field by this electrical angle (rad) is fine enough for commutation.
 pub(crate) fn resolves(angle_per_count: f32) -> bool {
     angle_per_count.abs() * MIN_COUNTS_PER_TURN <= core::f32::consts::TAU && angle_per_count != 0.0
-}
-
-/// The frame of the two current loops.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Frame {
-    /// The electrical angle of the rotor is not known, so the motor receives no current.
-    #[default]
-    Unknown,
-    /// The frame stands still at this angle, for the alignment of the motor.
-    Fixed(BinaryAngle),
-    /// The frame turns with the rotor, and has this angle at count zero of the encoder.
-    Rotor(BinaryAngle),
 }
 
 /// The frame of a three-phase motor and its direct axis.

@@ -1,8 +1,8 @@
 //! The motor stage of a board, for any motor that a device file describes.
 
 use super::brushed::Axis;
-use super::brushless::{Frame, ThreePhase};
-use super::stage::{Bridge, Duty, Stage, Supply};
+use super::brushless::ThreePhase;
+use super::stage::{Bridge, Duty, Frame, Stage, Supply};
 use crate::math::BinaryAngle;
 use crate::model::motor::Motor;
 

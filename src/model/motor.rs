@@ -36,9 +36,15 @@ pub struct Motor<T> {
     /// Maximum current, A.
     pub max_current: T,
     /// Windings.
+    #[serde(default = "brushed")]
     pub winding: Winding<T>,
     /// True if a person or a calibration has verified these numbers. A real board refuses to arm unverified motors.
     pub verified: bool,
+}
+
+/// Returns the winding of motors in backups that name none.
+fn brushed<T>() -> Winding<T> {
+    Winding::Brushed
 }
 
 impl<T: Real> Motor<T> {

@@ -12,8 +12,7 @@
 use crate::control::ControlLoop;
 use crate::control::joints::Torques;
 use crate::control::program::Program;
-use crate::drive::brushless::Frame;
-use crate::drive::stage::Stage;
+use crate::drive::stage::{Frame, Stage};
 use crate::math::{BinaryAngle, Math, Real};
 use crate::safety::fault::Fault;
 use core::f32::consts::{FRAC_PI_2, PI};
@@ -44,7 +43,7 @@ const LAG_ELECTRICAL: f32 = 0.5;
 const MAX_LEAD: f32 = 1.0;
 /// Smallest speed of a joint whose rotor the field repels, rad/s. A rotor that is attracted, also one with a third of the
 /// file's pole pairs, follows more slowly.
-const FALLING_SPEED: f32 = 4.0 * FOLLOWING_SPEED;
+const FALLING_SPEED: f32 = 8.0 * FOLLOWING_SPEED;
 /// Motion of the joint after which a direction ends early, rad, but at least this electrical angle.
 const MAX_MOTION: (f32, f32) = (0.12, 2.3);
 /// Largest distance of the joint from its initial angle, rad, but at least this electrical angle.
@@ -133,11 +132,6 @@ impl Alignment {
     /// Returns true if a motor's swings take place in a standing frame.
     pub(super) fn is_under_way(&self, stage: &impl Stage) -> bool {
         stage.is_three_phase() && !self.done
-    }
-
-    /// Returns true while a swing may find no motion, because its frame may lie across the rotor's field.
-    pub(super) fn may_stand_still(&self) -> bool {
-        !self.done
     }
 
     /// Returns true while the rotor follows the field.

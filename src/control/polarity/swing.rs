@@ -335,7 +335,7 @@ where
                 swing.growth = 0.0;
             }
             swing.torque = (swing.torque + swing.growth * pace).lesser(swing.max_torque);
-        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 && polarity.alignment.may_stand_still() {
+        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 && swing.aligning {
             polarity.part = 1;
             return Torques::default();
         } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 {
@@ -343,7 +343,7 @@ where
             return Torques::default();
         }
         let mut back = -swing.stiffness * moved[i] - swing.damping * speed;
-        if polarity.alignment.may_stand_still() && swing.aligning {
+        if swing.aligning {
             // Only the work so far shows the sign of the torque in this frame.
             back *= if swing.work > 0.0 { 1.0 } else { -1.0 };
         }
