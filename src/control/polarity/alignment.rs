@@ -41,7 +41,7 @@ const MAX_MOTION_ELECTRICAL: f32 = 2.0;
 const LAG_ELECTRICAL: f32 = 0.5;
 /// Angle by which a rotor that is attracted never leads the field, electrical rad: the largest error of the rough angle.
 const MAX_LEAD: f32 = 1.0;
-/// Smallest speed of a joint whose rotor the field repels, rad/s. A rotor that is attracted, also one with a third of the
+/// Smallest speed of a joint whose rotor the field repels, rad/s. A rotor that is attracted, also one with half of the
 /// file's pole pairs, follows more slowly.
 const FALLING_SPEED: f32 = 8.0 * FOLLOWING_SPEED;
 /// Motion of the joint after which a direction ends early, rad, but at least this electrical angle.
