@@ -8,10 +8,10 @@ use super::arguments::{self, DeviceAt, HoldingArgs, Numbers, WallArgs};
 use super::continued::Continue;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_host::words::joint_units;
 use haptic_predict::boards::BoardKind;
 use haptic_predict::plausible::{FileWarning, WithWarnings, warn};
 use haptic_show::plot::range::{Contents, draw};
@@ -130,10 +130,10 @@ enum DriveKind {
 
 impl Args {
     /// Returns the delay in control samples.
-    fn delay(&self, subject: &Subject) -> f64 {
-        match self.board {
+    fn delay(&self, description: &Description) -> f64 {
+        match self.board.and_then(|_| Subject::new(description).ok()) {
             // Both boards sample at the middle of a carrier period and apply the duty at its end.
-            Some(_) => subject.torque_path(self.rate).delay_samples,
+            Some(subject) => subject.torque_path(self.rate).delay_samples,
             None => self.delay.unwrap_or(0.0),
         }
     }
@@ -174,10 +174,10 @@ impl Args {
                     .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
             })?),
         };
-        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
-        let path = TorquePath { delay_samples: self.delay(&subject), drive };
+        let path = TorquePath { delay_samples: self.delay(&file.description), drive };
         let mut control_loop = Loop::with_torque_path(&path, self.rate, requested_estimator(self)?);
         control_loop.damping_compensation = self.damping_compensation;
+        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
             admissible: self.holding.admissible,
@@ -239,10 +239,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sweep = args.continued.sweep("range", &question)?;
     let why = if args.why { Some(limiting_effects(&prediction, &q, &normals, &sweep)?) } else { None };
     let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
-    let unit = joint_units(&file.description.units(), |joint| joint.travel);
     let has_picture = args.pictures.is_requested();
     if let Some(why) = why.as_ref().filter(|_| has_picture) {
-        let under = subtitle(&args, &unit, &q, &normals, range.area_ratio);
+        let under = subtitle(&args, &device.0, &q, &normals, range.area_ratio);
         let title = format!("{}: reduction of the stiffest wall by each effect", file.name);
         let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
@@ -259,7 +258,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 ),
                 None => format!("{}: stable walls, predicted", file.name),
             },
-            subtitle: subtitle(&args, &unit, &q, &normals, range.area_ratio),
+            subtitle: subtitle(&args, &device.0, &q, &normals, range.area_ratio),
             range: &complete,
             passivity: passivity.as_ref(),
             washout_hz: args.washout,

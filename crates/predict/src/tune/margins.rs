@@ -15,7 +15,7 @@ use haptic_host::error::Failure;
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
-use haptic_stability::analysis::sampled::Loop;
+use haptic_stability::analysis::sampled::{CARRIER_HZ, Loop};
 use serde::Serialize;
 
 /// Hands in which a wall must be stable: two fingers and a firm grip.
@@ -191,6 +191,8 @@ impl Margins {
         shaped: bool,
     ) -> Result<Vec<Corner>, Failure> {
         let model = Linearised::holding(description, q, normal, admissible)?;
+        let ages = description.joints.iter().filter_map(|joint| joint.absolute).map(|sensor| sensor.age(CARRIER_HZ));
+        let delay_s = self.delay_s + ages.fold(0.0, f64::max);
         let corner = |heavier: bool| -> Result<Corner, Failure> {
             let other = extreme_device(description, q, normal, admissible, shaped, self.inertia, heavier)?;
             let mut device = Linearised::holding(&other, q, normal, admissible)?;
@@ -206,7 +208,7 @@ impl Margins {
             let mut model = model.clone();
             // Damping has no margin because no wall tolerates compensation that exceeds the real damping.
             model.viscous.clone_from(&device.viscous);
-            Ok(Corner { device, model, delay_s: self.delay_s })
+            Ok(Corner { device, model, delay_s })
         };
         let mut corners = vec![corner(false)?];
         if (Self { delay_s: 0.0, friction: 0.0, counts: 0.0, hand: false, ..self }) != Self::NONE {
@@ -216,7 +218,7 @@ impl Margins {
         corners.extend(hands.iter().map(|hand| Corner {
             device: model.clone().with_hand(*hand),
             model: model.clone(),
-            delay_s: self.delay_s,
+            delay_s,
         }));
         Ok(corners)
     }

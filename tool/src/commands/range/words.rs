@@ -15,8 +15,9 @@ use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::why::{EffectShares, LimitPair, Limits};
 use std::fmt::Write;
 
-/// Returns two lines for titles: pose (in `unit`) and walls, and the loop.
-pub fn subtitle(args: &Args, unit: &str, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
+/// Returns two lines for titles: pose and walls, and the loop.
+pub fn subtitle(args: &Args, description: &Description, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
+    let unit = joint_units(&description.units(), |joint| joint.travel);
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     [
         format!(
@@ -28,7 +29,7 @@ pub fn subtitle(args: &Args, unit: &str, q: &[f64], normals: &[Vec<f64>], ratio:
             "{} Hz, {}, delay {}, {:?} drive; area ratio {ratio:.3}",
             args.rate,
             estimator_and_cutoff(args),
-            counted(args.delay(), "sample"),
+            counted(args.delay(description), "sample"),
             args.drive()
         )
         .to_lowercase()
@@ -81,8 +82,7 @@ pub fn readable(
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    let [pose, loop_line] =
-        subtitle(args, &joint_units(&description.units(), |joint| joint.travel), q, normals, range.area_ratio);
+    let [pose, loop_line] = subtitle(args, description, q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
     line(format!("  {loop_line}"));
     for more in optional_parts(args, description) {
