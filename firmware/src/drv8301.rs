@@ -85,7 +85,7 @@ impl Drv8301 {
         if is_kept { Ok(()) } else { Err(GateError::Readback) }
     }
 
-    pub fn status(&mut self, ) -> Result<(u16, u16), GateError> {
+    pub fn status(&mut self) -> Result<(u16, u16), GateError> {
         Ok((self.read(STATUS_1)?, self.read(STATUS_2)?))
     }
 }

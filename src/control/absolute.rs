@@ -94,7 +94,8 @@ where
             if reading.valid_frames < first_frames {
                 reading.count = reading.count.wrapping_add(moved.unwrap_or(0));
                 // The first frame has no predecessor.
-                reading.valid_frames = if explained.is_some() { reading.valid_frames + 1 } else { moved.is_some().into() };
+                reading.valid_frames =
+                    if explained.is_some() { reading.valid_frames + 1 } else { moved.is_some().into() };
                 if reading.valid_frames >= first_frames {
                     joint.start_at(reading.count);
                     started = true;
@@ -128,7 +129,10 @@ where
         let Some(program) = self.program.as_ref().filter(|program| program.homes_itself || !self.hardware.real) else {
             return;
         };
-        let q = core::array::from_fn(|i| if program.absolute[i] { self.absolute_angle(i, program.nearest[i]) } else { 0.0 });
+        let q =
+            core::array::from_fn(
+                |i| if program.absolute[i] { self.absolute_angle(i, program.nearest[i]) } else { 0.0 },
+            );
         if let Some(program) = self.program.as_mut() {
             program.controller.home(counts, &q);
             (self.placed, self.homed) = (true, true);

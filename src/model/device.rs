@@ -191,7 +191,6 @@ impl<T: Real> Joint<T> {
             absolute: self.absolute,
         }
     }
-
 }
 
 /// Returns the angle of one count, rad; negative if the encoder is inverted.

@@ -310,7 +310,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line(
             "\n[joint.encoder]\ncounts_per_turn",
             "20000".into(),
-            note("lines x 4 x ratio, at the joint; any positive number"),
+            note("lines x 4 x ratio, at the joint; in its place kind = \"as5047\" or \"as5048\""),
         );
         line("offset", "0.0".into(), note("rad, the angle at count 0; homing overrules it; default 0"));
         line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));

@@ -334,7 +334,11 @@ impl SimulatedBoard {
     /// Records the counts of the device, and drops those that no frame sends any more.
     fn latch_angles(&mut self, period: f64) {
         let lag = self.service.device().map_or(0.0, |device| {
-            device.joints.iter().filter_map(|joint| joint.absolute).fold(0.0, |lag: f64, sensor| lag.max(sensor.chip.delay()))
+            device
+                .joints
+                .iter()
+                .filter_map(|joint| joint.absolute)
+                .fold(0.0, |lag: f64, sensor| lag.max(sensor.chip.delay()))
         });
         self.latched.push_back(self.device.counts());
         while self.latched.len() > 1 + (lag / period).round() as usize {
@@ -348,7 +352,8 @@ impl SimulatedBoard {
         let oldest = self.options.faults.counts(oldest, self.readings);
         for nth in 1..=carriers {
             let frames = core::array::from_fn(|axis| {
-                let moved = i64::from(oldest[axis].wrapping_sub(self.sent[axis])) * i64::from(nth) / i64::from(carriers);
+                let moved =
+                    i64::from(oldest[axis].wrapping_sub(self.sent[axis])) * i64::from(nth) / i64::from(carriers);
                 let frame = frame_of(self.sent[axis].wrapping_add(moved as i32));
                 Some(self.options.faults.frame(axis, frame, self.readings))
             });

@@ -141,7 +141,8 @@ impl SimulatedDevice {
                 None => AnyMotor::Brushed(MotorModel::new(motor)),
             });
             let encoder = joint.encoder.ok_or(DeviceError::NoEncoder(index))?;
-            let zero = if options.absolute_encoders || joint.absolute.is_some() { encoder.offset } else { start[index] };
+            let zero =
+                if options.absolute_encoders || joint.absolute.is_some() { encoder.offset } else { start[index] };
             encoders.push(EncoderModel::new(&encoder, zero));
         }
         Ok(Self {

@@ -42,7 +42,8 @@ fn run(shared: &SharedBoard, board: &mut Board, seconds: f64) {
 /// Loads a wall at `surface` (m), checks the polarity and arms.
 fn arm(shared: &SharedBoard, board: &mut Board, surface: f64) {
     let text = format!("[[wall]]\npoint = [{surface}]\nnormal = [1.0]\nstiffness = 400.0\ndamping = 1.0\n");
-    let scene = SceneFile::parse(&text, "scene", 1).expect("a valid scene").scene().expect("a scene of the board's size");
+    let scene =
+        SceneFile::parse(&text, "scene", 1).expect("a valid scene").scene().expect("a scene of the board's size");
     board.set_scene(&scene).expect("the board takes the scene");
     board.check_polarity().expect("the check starts without homing");
     board.keep_alive();

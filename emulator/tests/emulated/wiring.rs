@@ -145,7 +145,9 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
         for Pin(port, number) in encoders.chain(motors).chain(others).chain(undrawn.iter().copied()) {
             let pin = format!("P{port}{number}");
             assert!(words.contains(&pin.as_str()), "{}: pin {pin} is not documented", wiring.name);
-            let drawn = kind != BoardKind::HBridgeF407Disc1 || undrawn.contains(&Pin(port, number)) || drawing.contains(&format!(">{pin}<"));
+            let drawn = kind != BoardKind::HBridgeF407Disc1
+                || undrawn.contains(&Pin(port, number))
+                || drawing.contains(&format!(">{pin}<"));
             assert!(drawn, "docs/drawings/{}.svg: {pin}", wiring.name);
         }
     }

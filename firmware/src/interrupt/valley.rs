@@ -8,7 +8,9 @@ use haptic_bridge::control::{Command, compiled};
 
 use super::exchange::{Exchange, Outcome, Request};
 use super::shared::increment;
-use super::{ABSOLUTE, CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, initial_countdown};
+use super::{
+    ABSOLUTE, CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, initial_countdown,
+};
 use crate::board::Io as _;
 use crate::warmth;
 

@@ -70,8 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
     let path = subject.torque_path(args.rate);
     let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(cutoff));
-    let options = Prediction::new(subject, control_loop)
-        .options(&q, &[Member::new(normal.clone(), 1.0)]);
+    let options = Prediction::new(subject, control_loop).options(&q, &[Member::new(normal.clone(), 1.0)]);
     let document = json!({
         "device": file.name, "options": options, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
         "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,

@@ -348,7 +348,10 @@ fn contradictions_of_absolute_encoders_are_refused() {
     let file = DeviceFile::parse(&format!("{slide}{motor}"), "device").expect("a valid file");
     let counts = file.description.joints[0].encoder.expect("an encoder").counts_per_turn / std::f64::consts::TAU;
     assert!((counts - 40.0 * 16_384.0).abs() < 1e-6, "{counts} per metre");
-    let text = haptic_host::read_back::to_toml(&[], &haptic_host::read_back::device_entries(&file.device().expect("a device")));
+    let text = haptic_host::read_back::to_toml(
+        &[],
+        &haptic_host::read_back::device_entries(&file.device().expect("a device")),
+    );
     assert!(text.contains("kind = \"as5047\"\nat = \"motor\"") && text.contains("turns_per_metre = 40.0"), "{text}");
 }
 
