@@ -24,6 +24,7 @@ static TOY: Wiring = Wiring {
     pins_held_high: &[],
     supply_mv: 3300,
     driver_selects: &[],
+    encoder_selects: &[],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
     dead_time: 0.0,
