@@ -26,6 +26,7 @@ const NO_JOINT: Joint = Joint {
     coulomb: 0.0,
     limits: None,
     encoder: None,
+    absolute: None,
     motor: None,
     transmission: None,
     rigid: false,

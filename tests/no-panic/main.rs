@@ -12,6 +12,7 @@ use haptic_bridge::control::compiled::{self, BoardControlLoop as OnBoard, Legs};
 use haptic_bridge::control::frame::{Outputs, Samples, StepRecord};
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Ticks;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 
 unsafe extern "C" {
     /// Does not exist. The name appears in the linker's error.
@@ -35,6 +36,13 @@ pub extern "C" fn control_step(control_loop: &mut OnBoard, samples: &Samples, ou
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_render(control_loop: &mut OnBoard, counts: &Counts) {
     compiled::render(control_loop, counts);
+}
+
+/// Reads the absolute encoders, like the interrupt at a crest.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_angles(control_loop: &mut OnBoard, frames: &[Option<u16>; MAX_JOINTS], counts: &mut Counts) {
+    compiled::read_angles(control_loop, frames, counts);
 }
 
 /// Runs the rest of a crest with a control step, like the interrupt.

@@ -33,6 +33,7 @@ pub fn prove() -> Result<()> {
     let reach = image.reach(&[
         "control_step",
         "carrier_render",
+        "carrier_angles",
         "carrier_crest",
         "carrier_generally",
         "carrier_notes",
