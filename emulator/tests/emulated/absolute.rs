@@ -48,3 +48,22 @@ fn the_odrive_reads_an_absolute_encoder_and_arms_without_homing() {
         assert_eq!((status.state, status.fault.map(|fault| fault.fault)), expected, "{replies} replies");
     }
 }
+
+#[test]
+fn probe() {
+    for absolute in [false, true] {
+        let mut file = device_file("gimbal-paddle");
+        if absolute {
+            let joint = &mut file.description.joints[0];
+            joint.absolute = Some(AngleSensor { chip: AngleChip::As5047, at: EncoderAt::Joint });
+            joint.encoder = Some(Encoder { counts_per_turn: ANGLE_COUNTS.into(), offset: -2.9, inverted: true });
+        }
+        let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |options| options.substep = 25e-6);
+        rig.load("");
+        for _ in 0..4 {
+            rig.run(100 * MILLISECOND);
+            let details = rig.tool.details().expect("the board replies");
+            println!("{absolute}: {} samples, longest {}, overruns {}", details.delay_samples, details.longest_cycles, details.overruns);
+        }
+    }
+}
