@@ -29,7 +29,7 @@ const MIN_PULL_FORCE: f32 = 0.15;
 /// Largest tip force of the pull, N.
 const MAX_PULL_FORCE: f32 = 0.8;
 /// Time in which the pull grows, s.
-const GROWTH_SECONDS: f32 = 0.3;
+const GROWTH_SECONDS: f32 = 0.1;
 /// Speed of the joint behind the field, rad/s.
 const FOLLOWING_SPEED: f32 = 0.1;
 /// Angle of the field until the pull is complete, rad.
@@ -39,13 +39,12 @@ const MOTION: f32 = 0.08;
 const MAX_MOTION_ELECTRICAL: f32 = 2.0;
 /// Angle that the field turns in addition, because the rotor stays behind, rad.
 const LAG_ELECTRICAL: f32 = 0.5;
-/// Angle by which a rotor that is attracted never leads the field, electrical rad: the largest error of the rough angle.
-const MAX_LEAD: f32 = 1.0;
-/// Smallest speed of a joint whose rotor the field repels, rad/s. A rotor that is attracted, also one with half of the
-/// file's pole pairs, follows more slowly.
-const FALLING_SPEED: f32 = 8.0 * FOLLOWING_SPEED;
+/// Angle by which only a rotor that is repelled moves within about [`FALL_SECONDS`], electrical rad.
+const MIN_FALL: f32 = 1.2;
+/// Time constant of the mean from which a fall is measured, s.
+const FALL_SECONDS: f32 = 0.15;
 /// Motion of the joint after which a direction ends early, rad, but at least this electrical angle.
-const MAX_MOTION: (f32, f32) = (0.12, 2.3);
+const MAX_MOTION: (f32, f32) = (0.12, 2.6);
 /// Largest distance of the joint from its initial angle, rad, but at least this electrical angle.
 const MAX_ALIGNING_ANGLE: (f32, f32) = (0.2, 3.0);
 /// Motion after which the joint follows in a new direction, rad, but at least two counts.
@@ -118,6 +117,8 @@ pub(super) struct Alignment {
     field: f32,
     /// Joint angle from the initial angle at which the present direction began, rad.
     turned_at: f32,
+    /// Mean joint angle from the initial angle over about [`FALL_SECONDS`], rad.
+    mean: f32,
     /// Time since the torque began to grow, s.
     seconds: f32,
     ahead: Line,
@@ -201,10 +202,10 @@ where
         let (i, period) = (self.axis(), self.polarity.step_period);
         let file = self.joints[i].stage.electrical_ratio();
         let end = (MOTION * file).lesser(MAX_MOTION_ELECTRICAL).greater(FIRST_FIELD) + LAG_ELECTRICAL;
-        let speed = self.joints[i].speed().abs();
         let alignment = &mut self.polarity.alignment;
         alignment.seconds += period;
-        let falls = file * moved.abs() > alignment.field + MAX_LEAD && speed > FALLING_SPEED;
+        alignment.mean += (moved - alignment.mean) * (period / FALL_SECONDS).lesser(1.0);
+        let falls = file * (moved - alignment.mean).abs() > MIN_FALL;
         if falls && !alignment.was_repelled && matches!(alignment.part, Part::Pull | Part::Ahead) {
             alignment.was_repelled = true;
             alignment.first += PI;
