@@ -281,8 +281,8 @@ where
         let stage = &mut self.joints[i].stage;
         let (file, pole_pairs) = (stage.electrical_ratio(), stage.pole_pairs());
         let found = ratio.abs() * pole_pairs / file;
-        // Written so that NaN is an error.
-        if !((found - pole_pairs).abs() <= MAX_POLE_PAIR_ERROR) {
+        let error = (found - pole_pairs).abs();
+        if error > MAX_POLE_PAIR_ERROR || error.is_nan() {
             return self.trip(Fault::PolePairs, Some(i as u8), found);
         }
         let ratio = if ratio < 0.0 { -file } else { file };
