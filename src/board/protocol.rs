@@ -23,7 +23,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of the protocol, increased with every change of a message.
-pub const PROTOCOL: u16 = 13;
+pub const PROTOCOL: u16 = 14;
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
 /// Maximum number of faults in the board's history.

@@ -3,11 +3,14 @@
 //!
 //! A quadrature current in a frame that stands still at the electrical angle φ makes a field at the angle φ + π/2 and the
 //! torque Kₜ i cos(θ - φ), where θ is the electrical angle of the rotor. A swing in this frame measures the cosine. Two
-//! frames a quarter turn apart therefore give θ roughly. The field then turns slowly from there, ahead and back, and the
-//! rotor follows. Friction holds the rotor behind the field in either direction, so the mean of both directions is the
-//! rotor's angle. The field's angle over the joint's angle is the electrical ratio, negative if two phases are exchanged.
-//! Exchanged phases also change the sign of the torque, so the rough θ is then half a turn off, the field repels the
-//! rotor, and turns by half a turn as soon as the rotor has fallen away too far.
+//! frames a quarter turn apart therefore give θ roughly, and two frames an eighth of a turn to either side correct it.
+//! In these two the torque depends on the angle, so that the joint drifts while it swings: towards the middle between the
+//! frames' fields, or away from it if two phases are exchanged. The direction of the drift therefore tells the direction
+//! of the motor. Exchanged phases also change the sign of the torque, so θ is then half a turn off.
+//!
+//! The field then turns slowly from θ, ahead and back, and the rotor follows. Friction holds the rotor behind the field
+//! in either direction, so the mean of both directions is the rotor's angle. The field's angle over the joint's angle is
+//! the electrical ratio.
 
 use crate::control::ControlLoop;
 use crate::control::joints::Torques;
@@ -15,15 +18,13 @@ use crate::control::program::Program;
 use crate::drive::stage::{Frame, Stage};
 use crate::math::{BinaryAngle, Math, Real};
 use crate::safety::fault::Fault;
-use core::f32::consts::{FRAC_PI_2, PI};
+use core::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use core::ops::DerefMut;
 
 /// Largest swing to either side in a standing frame, electrical rad.
 pub(super) const MAX_SWING_ELECTRICAL: f32 = 0.25;
 /// Torque that pulls the rotor towards the field, as a ratio to the torque that moved the joint in a swing.
 const PULL_FRICTION_RATIO: f32 = 2.5;
-/// The same ratio until the rotor moves, so that a rotor that is repelled does not fall fast.
-const FIRST_PULL_FRICTION_RATIO: f32 = 1.5;
 /// Smallest tip force of the pull, N.
 const MIN_PULL_FORCE: f32 = 0.15;
 /// Largest tip force of the pull, N.
@@ -32,20 +33,19 @@ const MAX_PULL_FORCE: f32 = 0.8;
 const GROWTH_SECONDS: f32 = 0.3;
 /// Speed of the joint behind the field, rad/s.
 const FOLLOWING_SPEED: f32 = 0.1;
-/// Angle of the field until the pull is complete, rad.
-const FIRST_FIELD: f32 = 1.2;
+/// Largest correction after which no further correction follows, rad. Both swings then drift.
+const MAX_LAST_CORRECTION: f32 = 0.3;
+/// Largest number of corrections.
+const MAX_CORRECTIONS: u8 = 5;
+/// Share of a correction that is applied, because friction lowers the smaller of two cosines more.
+const CORRECTION_SHARE: f32 = 0.7;
 /// Motion of the joint to either side, rad, and the largest such motion, electrical rad.
 const MOTION: f32 = 0.08;
 const MAX_MOTION_ELECTRICAL: f32 = 2.0;
 /// Angle that the field turns in addition, because the rotor stays behind, rad.
-const LAG_ELECTRICAL: f32 = 0.5;
-/// Angle by which a rotor that is attracted never leads the field, electrical rad: the largest error of the rough angle.
-const MAX_LEAD: f32 = 1.0;
-/// Smallest speed of a joint whose rotor the field repels, rad/s. A rotor that is attracted, also one with half of the
-/// file's pole pairs, follows more slowly.
-const FALLING_SPEED: f32 = 8.0 * FOLLOWING_SPEED;
+const LAG_ELECTRICAL: f32 = 0.8;
 /// Motion of the joint after which a direction ends early, rad, but at least this electrical angle.
-const MAX_MOTION: (f32, f32) = (0.12, 2.3);
+const MAX_MOTION: (f32, f32) = (0.12, 2.6);
 /// Largest distance of the joint from its initial angle, rad, but at least this electrical angle.
 const MAX_ALIGNING_ANGLE: (f32, f32) = (0.2, 3.0);
 /// Motion after which the joint follows in a new direction, rad, but at least two counts.
@@ -61,9 +61,13 @@ enum Part {
     Zero,
     /// Swings in the frame a quarter turn ahead.
     Quarter,
-    /// The field turns ahead with a small torque.
+    /// Swings in the frame an eighth of a turn behind the rough angle.
+    Behind,
+    /// Swings in the frame an eighth of a turn ahead of the rough angle.
+    Before,
+    /// The torque towards the field grows.
     Pull,
-    /// The field turns ahead with the complete torque.
+    /// The field turns ahead.
     Ahead,
     /// The field turns back, past its first angle.
     Back,
@@ -106,12 +110,15 @@ impl Line {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Alignment {
     part: Part,
-    /// Cosine that the first swing measured.
+    /// Cosine that the last swing measured.
     cosine: f32,
+    /// Joint angle at which the last swing took place, rad.
+    place: f32,
+    corrections: u8,
     /// Smallest torque that moved the joint in a swing, N m.
     breakaway_torque: Option<f32>,
-    /// Torque that pulls the rotor towards the field, N m: at first, and complete.
-    torques: [f32; 2],
+    /// Torque that pulls the rotor towards the field, N m.
+    torque: f32,
     /// First electrical angle of the field, rad.
     first: f32,
     /// Angle of the field from its first angle, rad.
@@ -122,8 +129,6 @@ pub(super) struct Alignment {
     seconds: f32,
     ahead: Line,
     back: Line,
-    /// True if the field has turned by half a turn.
-    was_repelled: bool,
     /// True if the motor's frame turns with its rotor from now on.
     done: bool,
 }
@@ -136,7 +141,7 @@ impl Alignment {
 
     /// Returns true while the rotor follows the field.
     pub(super) fn follows(&self) -> bool {
-        !self.done && !matches!(self.part, Part::Zero | Part::Quarter)
+        !self.done && matches!(self.part, Part::Pull | Part::Ahead | Part::Back | Part::Return)
     }
 
     /// Returns the pole pairs of a rotor that followed the field to this distance from its initial angle, rad.
@@ -163,36 +168,63 @@ where
         if !self.polarity.alignment.is_under_way(&self.joints[i].stage) {
             return false;
         }
-        let angle = if self.polarity.alignment.part == Part::Zero { 0.0 } else { FRAC_PI_2 };
+        let Alignment { part, first, .. } = self.polarity.alignment;
+        let angle = match part {
+            Part::Zero => 0.0,
+            Part::Behind => first - FRAC_PI_4,
+            Part::Before => first + FRAC_PI_4,
+            _ => FRAC_PI_2,
+        };
         self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
         self.begin_first_swing();
         true
     }
 
-    /// Continues an alignment after a swing that measured this cosine. `breakaway` is the torque that moved the joint,
-    /// N m.
-    pub(super) fn continue_alignment(&mut self, cosine: f32, breakaway: Option<f32>) {
-        let (axis, alignment) = (Some(self.axis() as u8), &mut self.polarity.alignment);
-        let before = core::mem::replace(&mut alignment.cosine, cosine);
+    /// Continues an alignment after a swing at this joint angle (rad), which measured this cosine. `breakaway` is the
+    /// torque that moved the joint, N m.
+    pub(super) fn continue_alignment(&mut self, cosine: f32, place: f32, breakaway: Option<f32>) {
+        let axis = Some(self.axis() as u8);
+        (self.polarity.swing, self.polarity.part) = (None, 0);
+        let alignment = &mut self.polarity.alignment;
+        let (before, from) = (alignment.cosine, alignment.place);
+        (alignment.cosine, alignment.place) = (cosine, place);
         let known = alignment.breakaway_torque.unwrap_or(f32::MAX);
         alignment.breakaway_torque = breakaway.map(|torque| torque.lesser(known)).or(alignment.breakaway_torque);
-        (self.polarity.swing, self.polarity.part) = (None, 0);
-        if alignment.part == Part::Zero {
-            alignment.part = Part::Quarter;
+        alignment.part = match alignment.part {
+            Part::Zero => Part::Quarter,
+            Part::Quarter => {
+                alignment.first = libm::atan2f(cosine, before);
+                Part::Behind
+            }
+            Part::Behind => Part::Before,
+            _ => {
+                // cos(δ + π/4) behind and cos(δ - π/4) before: their difference over their sum is tan δ.
+                let correction = CORRECTION_SHARE * libm::atan2f(cosine - before, cosine + before);
+                alignment.first += correction;
+                alignment.corrections += 1;
+                let again = correction.abs() > MAX_LAST_CORRECTION && alignment.corrections < MAX_CORRECTIONS;
+                if again { Part::Behind } else { Part::Pull }
+            }
+        };
+        let Some(breakaway) = alignment.breakaway_torque else {
+            if alignment.part == Part::Behind && alignment.corrections == 0 {
+                self.trip(Fault::PolarityNoMotion, axis, 0.0);
+            } else {
+                self.begin_aligning_swing();
+            }
+            return;
+        };
+        if alignment.part != Part::Pull {
             self.begin_aligning_swing();
             return;
         }
-        let Some(breakaway) = alignment.breakaway_torque else {
-            return self.trip(Fault::PolarityNoMotion, axis, 0.0);
-        };
-        (alignment.part, alignment.first) = (Part::Pull, libm::atan2f(cosine, before));
-        self.polarity.initial = None;
+        if place > from {
+            alignment.first += PI;
+        }
         let force = self.polarity.force_per_torque;
-        let torque = |ratio: f32| {
-            let wanted = (ratio * breakaway).greater(MIN_PULL_FORCE / force);
-            wanted.lesser((MAX_PULL_FORCE / force).greater(breakaway))
-        };
-        self.polarity.alignment.torques = [torque(FIRST_PULL_FRICTION_RATIO), torque(PULL_FRICTION_RATIO)];
+        let most = (MAX_PULL_FORCE / force).greater(breakaway);
+        alignment.torque = (PULL_FRICTION_RATIO * breakaway).greater(MIN_PULL_FORCE / force).lesser(most);
+        self.polarity.initial = None;
     }
 
     /// Runs a step in which the rotor follows the field, and returns the torques. `moved` is the joint's motion from its
@@ -200,28 +232,24 @@ where
     pub(super) fn follow_field(&mut self, moved: f32, count: f32) -> Torques {
         let (i, period) = (self.axis(), self.polarity.step_period);
         let file = self.joints[i].stage.electrical_ratio();
-        let end = (MOTION * file).lesser(MAX_MOTION_ELECTRICAL).greater(FIRST_FIELD) + LAG_ELECTRICAL;
-        let speed = self.joints[i].speed().abs();
+        let end = (MOTION * file).lesser(MAX_MOTION_ELECTRICAL) + LAG_ELECTRICAL;
         let alignment = &mut self.polarity.alignment;
         alignment.seconds += period;
-        let falls = file * moved.abs() > alignment.field + MAX_LEAD && speed > FALLING_SPEED;
-        if falls && !alignment.was_repelled && matches!(alignment.part, Part::Pull | Part::Ahead) {
-            alignment.was_repelled = true;
-            alignment.first += PI;
-            (alignment.part, alignment.field, alignment.ahead) = (Part::Pull, 0.0, Line::default());
-        }
         let step = FOLLOWING_SPEED * file * period;
-        alignment.field += if alignment.part == Part::Back { -step } else { step };
+        alignment.field += match alignment.part {
+            Part::Ahead | Part::Return => step,
+            Part::Back => -step,
+            _ => 0.0,
+        };
         let follows = (moved - alignment.turned_at).abs() > MIN_FOLLOWED_ANGLE.greater(2.0 * count.abs());
         let is_far = follows && moved.abs() > MAX_MOTION.0.greater(MAX_MOTION.1 / file);
         let (field, growth) = (alignment.field, (alignment.seconds / GROWTH_SECONDS).lesser(1.0));
         match alignment.part {
-            Part::Ahead if follows && growth >= 1.0 => alignment.ahead.add(moved, field),
+            Part::Ahead if follows => alignment.ahead.add(moved, field),
             Part::Back if follows => alignment.back.add(moved, field),
             _ => {}
         }
         let next = match alignment.part {
-            Part::Zero | Part::Quarter | Part::Pull => (field >= FIRST_FIELD).then_some(Part::Ahead),
             Part::Ahead => (field >= end || is_far).then_some(Part::Back),
             Part::Back => (field <= -end || is_far).then_some(Part::Return),
             Part::Return if field >= 0.0 => {
@@ -229,17 +257,12 @@ where
                 return Torques::default();
             }
             Part::Return => None,
+            _ => (growth >= 1.0).then_some(Part::Ahead),
         };
         if let Some(part) = next {
             (alignment.part, alignment.turned_at) = (part, moved);
-            alignment.seconds = if part == Part::Ahead { 0.0 } else { alignment.seconds };
         }
-        let [first, complete] = alignment.torques;
-        let torque = match alignment.part {
-            Part::Zero | Part::Quarter | Part::Pull => growth * first,
-            Part::Ahead => first + growth * (complete - first),
-            Part::Back | Part::Return => complete,
-        };
+        let torque = growth * alignment.torque;
         let angle = alignment.first + alignment.field - FRAC_PI_2;
         self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
         self.torques_within_tip_force(torque)
@@ -258,8 +281,8 @@ where
         let stage = &mut self.joints[i].stage;
         let (file, pole_pairs) = (stage.electrical_ratio(), stage.pole_pairs());
         let found = ratio.abs() * pole_pairs / file;
-        // Written so that NaN is an error.
-        if !((found - pole_pairs).abs() <= MAX_POLE_PAIR_ERROR) {
+        let error = (found - pole_pairs).abs();
+        if error > MAX_POLE_PAIR_ERROR || error.is_nan() {
             return self.trip(Fault::PolePairs, Some(i as u8), found);
         }
         let ratio = if ratio < 0.0 { -file } else { file };

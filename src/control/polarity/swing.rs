@@ -362,7 +362,9 @@ where
             1 if swing.aligning => {
                 self.compare_torques(swing);
                 let cosine = if swing.breakaway_torque.is_some() { self.polarity.results.torque_ratio } else { 0.0 };
-                self.continue_alignment(cosine, swing.breakaway_torque);
+                let (i, (low, high)) = (self.axis(), swing.motion_range[self.axis()]);
+                let place = self.polarity.initial.map_or(0.0, |from| from[i]) + 0.5 * (low + high);
+                self.continue_alignment(cosine, place, swing.breakaway_torque);
             }
             1 => self.compare_torques(swing),
             2 => self.compare_resistance(swing),
