@@ -38,32 +38,14 @@ fn the_odrive_reads_an_absolute_encoder_and_arms_without_homing() {
     assert!((force - 0.5).abs() < 0.04, "{force} N");
     assert!((depth * 300.0 - force).abs() < 0.03, "{depth} m at {force} N");
     let details = rig.tool.details().expect("the board replies");
-    assert!((details.delay_samples - 1.04).abs() < 1e-3, "{} samples", details.delay_samples);
-    println!("longest crest: {} cycles", details.longest_cycles);
+    // The angle is 27 us old, and the duties apply half a carrier period later, or a whole one if many steps are late.
+    let duties = details.delay_samples - 0.54;
+    assert!([0.5, 1.0].iter().any(|delay| (duties - delay).abs() < 1e-3), "{} samples", details.delay_samples);
     // Every second frame is that of a valley, whose reply the image does not use.
     for (replies, expected) in [(4, (State::Armed, None)), (6, (State::Fault, Some(Fault::EncoderFrames)))] {
         rig.while_stopped(move |stopped| stopped.hardware().angle_encoder(0).disturb(replies));
         rig.run(10 * MILLISECOND);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!((status.state, status.fault.map(|fault| fault.fault)), expected, "{replies} replies");
-    }
-}
-
-#[test]
-fn probe() {
-    for absolute in [false, true] {
-        let mut file = device_file("gimbal-paddle");
-        if absolute {
-            let joint = &mut file.description.joints[0];
-            joint.absolute = Some(AngleSensor { chip: AngleChip::As5047, at: EncoderAt::Joint });
-            joint.encoder = Some(Encoder { counts_per_turn: ANGLE_COUNTS.into(), offset: -2.9, inverted: true });
-        }
-        let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |options| options.substep = 25e-6);
-        rig.load("");
-        for _ in 0..4 {
-            rig.run(100 * MILLISECOND);
-            let details = rig.tool.details().expect("the board replies");
-            println!("{absolute}: {} samples, longest {}, overruns {}", details.delay_samples, details.longest_cycles, details.overruns);
-        }
     }
 }

@@ -140,7 +140,7 @@ impl<W: Wires> Board for HBridges<W> {
             pwm::outputs(pins.gates.map(Flex::new), 1);
             adc::inputs(pins.sensors.map(Flex::new));
             index::latch(W::INDEX_LINES[0] | W::INDEX_LINES[1] | W::INDEX_LINES[2]);
-            pins.selects.map(angle_sensors::idle_select);
+            pins.selects.into_iter().for_each(angle_sensors::idle_select);
             let [clock, input, output] = pins.bus;
             angle_sensors::start_bus(clock, input, output);
             let [first, second, third] = pins.encoders.map(|channels| channels.map(Flex::new));
