@@ -587,7 +587,11 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
             true => table.required_number("inductance", Must::BePositive, "inductance = 0.001"),
             false => table.number_or("inductance", Must::NotBeNegative, 0.0),
         },
-        back_emf: table.number_or("back_emf", Must::NotBeNegative, back_emf),
+        back_emf: table.number_or(
+            "back_emf",
+            if is_brushless { Must::BePositive } else { Must::NotBeNegative },
+            back_emf,
+        ),
         max_current: table.required_number("max_current", Must::BePositive, "max_current = 3.0"),
         verified: table.flag_or("verified", false),
     }
