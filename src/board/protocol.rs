@@ -11,6 +11,7 @@ use crate::board::telemetry::{Batch, StreamRequest};
 pub use crate::control::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 pub use crate::control::{Beat, Press};
 use crate::control::{Rules, Status};
+use crate::model::cogging::Cogging;
 use crate::model::device::Device;
 use crate::render::controller::Gains;
 use crate::render::scene::Scene;
@@ -23,7 +24,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of the protocol, increased with every change of a message.
-pub const PROTOCOL: u16 = 13;
+pub const PROTOCOL: u16 = 14;
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
 /// Maximum number of faults in the board's history.
@@ -157,6 +158,8 @@ endpoints! {
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |
     | FindStops     | Press         | Outcome     | "haptic/stops"     |
+    | SetCogging    | Cogging       | Outcome     | "haptic/cogging"   |
+    | GetCogging    | ()            | Cogging     | "haptic/cogging?"  |
 }
 
 topics! {

@@ -50,6 +50,14 @@ impl<T: Real> Motor<T> {
         }
     }
 
+    /// Returns the turns of the motor's shaft per turn of the joint. The shaft of a brushed motor counts as the joint's.
+    pub fn shaft_ratio(&self) -> T {
+        match self.winding {
+            Winding::Brushed => T::one(),
+            Winding::ThreePhase { ratio, .. } => ratio,
+        }
+    }
+
     /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Motor<U> {
         Motor {
