@@ -9,7 +9,7 @@ use crate::link::{Board, BoardError};
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::control::Rules;
-use haptic_bridge::model::cogging::Cogging;
+use haptic_bridge::model::cogging::Potentials;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -225,7 +225,7 @@ fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
         Key::Device => value::<Device<f32>>(entry),
         Key::Scene => value::<Scene<f32>>(entry),
         Key::Rules => value::<Rules>(entry),
-        Key::Cogging => value::<Cogging>(entry),
+        Key::Cogging => value::<Potentials>(entry),
         Key::Polarity => value::<Polarity>(entry),
         Key::Name => value::<BoardName>(entry),
     };
@@ -238,7 +238,7 @@ fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, RestoreMethod)
         Key::Device => usable_entry_as::<Device<f32>>(saved),
         Key::Scene => usable_entry_as::<Scene<f32>>(saved),
         Key::Rules => usable_entry_as::<Rules>(saved),
-        Key::Cogging => usable_entry_as::<Cogging>(saved),
+        Key::Cogging => usable_entry_as::<Potentials>(saved),
         Key::Polarity => usable_entry_as::<Polarity>(saved),
         Key::Name => usable_entry_as::<BoardName>(saved),
     }

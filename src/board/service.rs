@@ -14,7 +14,7 @@ use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
 use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
-use crate::model::cogging::{Cogging, Compensation};
+use crate::model::cogging::{Compensation, Potentials};
 use crate::model::description::Homing;
 use crate::model::device::Device;
 use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
@@ -57,7 +57,7 @@ impl Service {
                 device: None,
                 scene: None,
                 rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
-                cogging: Cogging::default(),
+                cogging: Potentials::default(),
             },
             name: Name::new(),
             checked_device: None,
@@ -91,7 +91,7 @@ impl Service {
         {
             let _ = self.damage.push((Key::Scene, Damage::Corrupt));
         }
-        if let (Some(cogging), true) = (self.read::<Cogging>(machine), self.configuration.device.is_some())
+        if let (Some(cogging), true) = (self.read::<Potentials>(machine), self.configuration.device.is_some())
             && self.set_cogging(machine, cogging).is_err()
         {
             let _ = self.damage.push((Key::Cogging, Damage::Corrupt));
@@ -156,7 +156,7 @@ impl Service {
         let scene = self.configuration.scene.as_ref().filter(|scene| scene_fits_device(scene, &device)).cloned();
         // The same device keeps the potentials of its motors.
         let same = self.configuration.device.as_ref() == Some(&device);
-        let cogging = if same { self.configuration.cogging.clone() } else { Cogging::default() };
+        let cogging = if same { self.configuration.cogging.clone() } else { Potentials::default() };
         let mut next = Configuration { device: Some(device), scene, rules: self.configuration.rules, cogging };
         self.install(machine, &mut next, false, None)?;
         self.finish_device_change(machine)
@@ -324,12 +324,12 @@ impl Service {
     }
 
     /// Returns the potentials of the motors.
-    pub fn cogging(&self) -> &Cogging {
+    pub fn cogging(&self) -> &Potentials {
         &self.configuration.cogging
     }
 
     /// Sets the potentials of the motors, whose cogging the control loop then compensates. The motors must be off.
-    pub fn set_cogging(&mut self, machine: &mut impl Machine, cogging: Cogging) -> Result<(), Refusal> {
+    pub fn set_cogging(&mut self, machine: &mut impl Machine, cogging: Potentials) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         check_cogging(self.device().ok_or(Refusal::NoDevice)?, &cogging)?;
         self.configuration.cogging = cogging;
@@ -414,7 +414,7 @@ fn scene_fits_device(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }
 
-pub(super) fn check_cogging(device: &Device<f32>, cogging: &Cogging) -> Result<(), Refusal> {
+pub(super) fn check_cogging(device: &Device<f32>, cogging: &Potentials) -> Result<(), Refusal> {
     cogging.first_unusable_joint(device).map_or(Ok(()), |joint| Err(Refusal::BadCogging(joint)))
 }
 

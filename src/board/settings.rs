@@ -6,7 +6,7 @@
 use crate::board::storage::{CATALOGUE_KEY, DECISION_KEY};
 use crate::checksum::crc32;
 use crate::control::Rules;
-use crate::model::cogging::Cogging;
+use crate::model::cogging::Potentials;
 use crate::model::device::Device;
 use crate::render::scene::Scene;
 use crate::safety::limits::GENTLE_FORCE;
@@ -104,7 +104,7 @@ impl Setting for Rules {
     /// Inserts [`GENTLE_FORCE`] after the other limits, which are the first fifteen numbers of four bytes.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
-impl Setting for Cogging {
+impl Setting for Potentials {
     const KEY: Key = Key::Cogging;
     /// Version 1 is the version of the former setting, see [`is_former`].
     const VERSION: u8 = 2;

@@ -33,9 +33,9 @@ pub type Potential = Vec<Harmonic, MAX_HARMONICS>;
 
 /// The potentials of all motors of a device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
-pub struct Cogging(pub [Potential; MAX_JOINTS]);
+pub struct Potentials(pub [Potential; MAX_JOINTS]);
 
-impl Cogging {
+impl Potentials {
     /// Returns true if no potential is known.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(Vec::is_empty)
@@ -148,7 +148,10 @@ mod tests {
         let compensation = Compensation::new(&joint, &potential);
         let at = |count: i32| f64::from(joint.radians_per_count) * f64::from(count) + f64::from(joint.offset);
         let energy = |q: f64| -> f64 {
-            potential.iter().map(|h| f64::from(h.energy) * libm::cos(f64::from(h.order) * 2.5 * q + f64::from(h.phase))).sum()
+            potential
+                .iter()
+                .map(|h| f64::from(h.energy) * libm::cos(f64::from(h.order) * 2.5 * q + f64::from(h.phase)))
+                .sum()
         };
         // A turn of the shaft has 16 000 counts.
         let (mut work, mut absolute) = (0.0, 0.0);

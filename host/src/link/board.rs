@@ -10,7 +10,7 @@ use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Out
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::{Rules, Status};
-use haptic_bridge::model::cogging::Cogging;
+use haptic_bridge::model::cogging::Potentials;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
@@ -209,11 +209,11 @@ impl Board {
         self.call::<p::GetRules>(&(), REPLY)
     }
     /// Reads the potentials of the motors, whose cogging the board compensates.
-    pub fn cogging(&mut self) -> Result<Cogging, LinkError> {
+    pub fn cogging(&mut self) -> Result<Potentials, LinkError> {
         self.call::<p::GetCogging>(&(), REPLY)
     }
     /// Sets the potentials of the motors. The motors must be off.
-    pub fn set_cogging(&mut self, cogging: &Cogging) -> Result<(), BoardError> {
+    pub fn set_cogging(&mut self, cogging: &Potentials) -> Result<(), BoardError> {
         self.change::<p::SetCogging>(cogging)
     }
     /// Declares the present pose to be the device's home pose. Homes a device with index marks by the marks that its

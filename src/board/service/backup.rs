@@ -7,7 +7,7 @@ use crate::board::machine::{Machine, check_motors_off};
 use crate::board::protocol::{Commit, KeyList, WriteEntry};
 use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting, is_former};
 use crate::control::Rules;
-use crate::model::cogging::Cogging;
+use crate::model::cogging::Potentials;
 use crate::model::device::Device;
 use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
@@ -35,7 +35,7 @@ impl Service {
             Key::Device => decode_setting::<Device<f32>>(entry).map(drop)?,
             Key::Scene => decode_setting::<Scene<f32>>(entry).map(drop)?,
             Key::Rules => decode_setting::<Rules>(entry).map(drop)?,
-            Key::Cogging => decode_setting::<Cogging>(entry).map(drop)?,
+            Key::Cogging => decode_setting::<Potentials>(entry).map(drop)?,
             Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
@@ -83,7 +83,7 @@ impl Service {
         let rules: Option<Rules> = self.staged_value(machine, keys)?;
         let device: Option<Device<f32>> = self.staged_value(machine, keys)?;
         let scene: Option<Scene<f32>> = self.staged_value(machine, keys)?;
-        let cogging: Option<Cogging> = self.staged_value(machine, keys)?;
+        let cogging: Option<Potentials> = self.staged_value(machine, keys)?;
 
         let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
