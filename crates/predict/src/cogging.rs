@@ -28,6 +28,9 @@ const MIN_PERIODS: f64 = 2.0;
 const MIN_SEPARATION: f64 = 0.5;
 /// Ratio of the held-out errors with and without a harmonic below which the harmonic is kept.
 const WORTHWHILE: f64 = 0.97;
+/// Ratio of the residuals after and before an order moves to a neighbour below which it moves, and most such moves.
+const MIN_IMPROVEMENT: f64 = 0.995;
+const MAX_MOVES: usize = 20;
 /// Share of the ripple above which the held-out error shows that a series explains nothing.
 const MAX_HELD_OUT_SHARE: f64 = 0.7;
 
@@ -127,13 +130,13 @@ pub fn fit(passes: &[Pass], motion: &Motion) -> Result<Learnt, CoggingError> {
     if !(first >= 1.0 && last > first && bins.len() > 50) {
         return Err(CoggingError::Short(arc));
     }
-    let last = last.min(f64::from(u16::MAX));
+    let (last, apart_by) = (last.min(f64::from(u16::MAX)), MIN_SEPARATION / periods_per_order);
     let mut orders: Vec<f64> = Vec::new();
     let mut best = fitted(&angles, &torques, &orders, motion.ratio);
     let trend = best.values.clone();
     let before = rms(&best.residuals);
     while orders.len() < MAX_HARMONICS {
-        let apart = |order: f64| orders.iter().all(|other| (order - other).abs() * periods_per_order >= MIN_SEPARATION);
+        let apart = |order: f64| orders.iter().all(|other| (order - other).abs() >= apart_by);
         let candidates = (first as u32..=last as u32).map(f64::from).filter(|order| apart(*order));
         let scored = candidates.map(|order| (order, series::score(&angles, &best.residuals, order * motion.ratio)));
         let Some((order, _)) = scored.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
@@ -143,6 +146,9 @@ pub fn fit(passes: &[Pass], motion: &Motion) -> Result<Learnt, CoggingError> {
             break;
         }
         (orders, best) = (more, next);
+        refine(&mut orders, &mut best, (first, last), apart_by, |orders| {
+            fitted(&angles, &torques, orders, motion.ratio)
+        });
     }
     let Fitted { held_out, ref residuals, ref waves, .. } = best;
     if !(held_out < MAX_HELD_OUT_SHARE * before) {
@@ -163,6 +169,37 @@ pub fn fit(passes: &[Pass], motion: &Motion) -> Result<Learnt, CoggingError> {
         friction: bins.iter().map(|(.., friction)| friction).sum::<f64>() / bins.len() as f64,
         points: points.collect(),
     })
+}
+
+/// Moves each order to a neighbour while that leaves smaller residuals: an order that was found before the others may
+/// have taken a part of theirs.
+fn refine(
+    orders: &mut Vec<f64>,
+    best: &mut Fitted,
+    (first, last): (f64, f64),
+    apart_by: f64,
+    fitted: impl Fn(&[f64]) -> Fitted,
+) {
+    for _ in 0..MAX_MOVES {
+        let neighbours = (0..orders.len()).flat_map(|i| [-1.0, 1.0].map(|by| (i, orders[i] + by)));
+        let apart = |i: usize, order: f64| {
+            orders.iter().enumerate().all(|(j, other)| i == j || (order - other).abs() >= apart_by)
+        };
+        let allowed = neighbours.filter(|(i, order)| (first..=last).contains(order) && apart(*i, *order));
+        let moved = allowed.map(|(i, order)| {
+            let mut moved = orders.clone();
+            moved[i] = order;
+            let fitted = fitted(&moved);
+            (moved, fitted)
+        });
+        let Some((moved, next)) = moved.min_by(|a, b| rms(&a.1.residuals).total_cmp(&rms(&b.1.residuals))) else {
+            return;
+        };
+        if rms(&next.residuals) >= MIN_IMPROVEMENT * rms(&best.residuals) {
+            return;
+        }
+        (*orders, *best) = (moved, next);
+    }
 }
 
 /// Returns angle, mean torque of both directions, and half the difference of the directions in every bin that both

@@ -63,7 +63,8 @@ impl CoggedPaddle {
     }
 
     pub fn board(&self) -> (SharedBoard, Board) {
-        let options = BoardOptions { device: Options { substep: 25e-6, ..Options::default() }, ..BoardOptions::default() };
+        let options =
+            BoardOptions { device: Options { substep: 25e-6, ..Options::default() }, ..BoardOptions::default() };
         let mut simulated = SimulatedBoard::new(&self.wired, options).unwrap();
         simulated.load("cogged", &self.file.description, None).unwrap();
         let shared = SharedBoard::new(simulated);
@@ -96,7 +97,8 @@ impl CoggedPaddle {
         let counts = (low / scale) as i32..(high / scale) as i32;
         let (mut before, mut after) = (0.0, 0.0);
         for count in counts.clone() {
-            let magnets = self.wired.joints[0].cogging.unwrap().torque(scale * f64::from(count) + f64::from(joint.offset));
+            let magnets =
+                self.wired.joints[0].cogging.unwrap().torque(scale * f64::from(count) + f64::from(joint.offset));
             before += magnets.powi(2);
             after += (magnets + f64::from(compensation.torque(count))).powi(2);
         }

@@ -169,7 +169,8 @@ impl Sweep {
         let q = answer.q.map(f64::from);
         let at = q[self.joint];
         let period = f64::from(answer.period);
-        let passed = self.step.replace(answer.step).map_or(0.0, |step| f64::from(answer.step.wrapping_sub(step)) * period);
+        let passed =
+            self.step.replace(answer.step).map_or(0.0, |step| f64::from(answer.step.wrapping_sub(step)) * period);
         self.time += passed;
         let held = *self.held.get_or_insert_with(|| {
             self.target = at;
@@ -196,7 +197,8 @@ impl Sweep {
                 }
             }
         }
-        self.request = self.request_at(&answer.q, &answer.qd, &answer.tip, &held).ok_or(CoggingError::NoArc(self.joint))?;
+        self.request =
+            self.request_at(&answer.q, &answer.qd, &answer.tip, &held).ok_or(CoggingError::NoArc(self.joint))?;
         self.request.sequence = request.sequence;
         Ok(false)
     }
