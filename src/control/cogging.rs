@@ -68,8 +68,9 @@ where
     pub(super) fn add_cogging(&mut self, counts: &Counts) {
         let asked = &mut self.now.result.asked;
         let CoggingCompensation { joints, zero, .. } = &self.cogging;
-        for (i, (joint, total)) in joints.iter().zip(&mut asked.total).enumerate() {
-            *total += joint.torque(counts[i].wrapping_sub(zero[i]));
+        let counts = counts.iter().zip(zero.iter());
+        for ((joint, total), (count, zero)) in joints.iter().zip(&mut asked.total).zip(counts) {
+            *total += joint.torque(count.wrapping_sub(*zero));
         }
     }
 }

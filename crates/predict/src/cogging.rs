@@ -8,20 +8,23 @@ use haptic_bridge::model::cogging::{Harmonic, MAX_HARMONICS, Potential};
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_host::link::{BoardError, LinkError};
 use haptic_host::words::fault_and_remedy;
-use series::{Fitted, fitted, rms};
+use nalgebra::DVector;
+use series::{Fitted, Series, rms};
+use std::f64::consts::TAU;
 pub use sweep::Sweep;
 use thiserror::Error;
 
 /// Half of the time over which torques and accelerations are averaged, s.
 const WINDOW_SECONDS: f64 = 8e-3;
 /// Smallest mean speed of a sample, as a share of the speed of the motion: below, the joint sticks or has turned round.
-const MIN_SPEED_SHARE: f64 = 0.3;
-/// Largest number of bins of an arc, and smallest width of a bin, counts.
-const MAX_BINS: f64 = 600.0;
-const MIN_BIN_COUNTS: f64 = 3.0;
+const MIN_SPEED_SHARE: f64 = 0.1;
+/// Fewest and most bins of an arc, and smallest width of a bin, counts.
+const MIN_BINS: usize = 50;
+const MAX_BINS: f64 = 1_000.0;
+const MIN_BIN_COUNTS: f64 = 1.5;
 /// Fewest bins and counts in a period of a harmonic.
-const BINS_PER_PERIOD: f64 = 6.0;
-const COUNTS_PER_PERIOD: f64 = 8.0;
+const BINS_PER_PERIOD: f64 = 4.0;
+const COUNTS_PER_PERIOD: f64 = 6.0;
 /// Fewest periods in the arc: weight, cables and other loads vary more slowly.
 const MIN_PERIODS: f64 = 2.0;
 /// Smallest distance of two orders, in periods over the arc. An arc does not resolve a smaller distance.
@@ -30,7 +33,7 @@ const MIN_SEPARATION: f64 = 0.5;
 const WORTHWHILE: f64 = 0.97;
 /// Ratio of the residuals after and before an order moves to a neighbour below which it moves, and most such moves.
 const MIN_IMPROVEMENT: f64 = 0.995;
-const MAX_MOVES: usize = 20;
+const MAX_MOVES: usize = 8;
 /// Share of the ripple above which the held-out error shows that a series explains nothing.
 const MAX_HELD_OUT_SHARE: f64 = 0.7;
 
@@ -118,88 +121,85 @@ pub struct Learnt {
 /// Fits the potential of a motor's magnets to passes in both directions.
 pub fn fit(passes: &[Pass], motion: &Motion) -> Result<Learnt, CoggingError> {
     let bins = bins(passes, motion);
-    let (Some((low, ..)), Some((high, ..))) = (bins.first(), bins.last()) else {
-        return Err(CoggingError::Short(0.0));
-    };
-    let arc = high - low;
+    let arc = bins.last().zip(bins.first()).map_or(0.0, |(last, first)| last.0 - first.0);
     let angles: Vec<f64> = bins.iter().map(|(q, ..)| *q).collect();
-    let torques: Vec<f64> = bins.iter().map(|(_, torque, _)| *torque).collect();
-    let periods_per_order = arc * motion.ratio / std::f64::consts::TAU;
+    let torques = DVector::from_iterator(bins.len(), bins.iter().map(|(_, torque, _)| *torque));
+    let series = Series { angles: &angles, torques, ratio: motion.ratio };
+    let periods_per_order = arc * motion.ratio.abs() / TAU;
     let densest = (bins.len() as f64 / BINS_PER_PERIOD).min(arc / motion.count.abs() / COUNTS_PER_PERIOD);
-    let (first, last) = ((MIN_PERIODS / periods_per_order).ceil(), (densest / periods_per_order).floor());
-    if !(first >= 1.0 && last > first && bins.len() > 50) {
+    let first = (MIN_PERIODS / periods_per_order).ceil();
+    let last = (densest / periods_per_order).floor().min(f64::from(u16::MAX));
+    if !(first >= 1.0 && last > first && bins.len() >= MIN_BINS) {
         return Err(CoggingError::Short(arc));
     }
-    let (last, apart_by) = (last.min(f64::from(u16::MAX)), MIN_SEPARATION / periods_per_order);
+    let separation = MIN_SEPARATION / periods_per_order;
+    let allowed = |orders: &[f64], order: f64| {
+        (first..=last).contains(&order) && orders.iter().all(|other| (order - other).abs() >= separation)
+    };
     let mut orders: Vec<f64> = Vec::new();
-    let mut best = fitted(&angles, &torques, &orders, motion.ratio);
-    let trend = best.values.clone();
-    let before = rms(&best.residuals);
+    let mut best = series.fit(&orders);
+    let ripple = best.residuals.clone();
+    let before = rms(&ripple);
+    let mut held_out = series.held_out(&orders);
     while orders.len() < MAX_HARMONICS {
-        let apart = |order: f64| orders.iter().all(|other| (order - other).abs() >= apart_by);
-        let candidates = (first as u32..=last as u32).map(f64::from).filter(|order| apart(*order));
-        let scored = candidates.map(|order| (order, series::score(&angles, &best.residuals, order * motion.ratio)));
+        let candidates = (first as u32..=last as u32).map(f64::from).filter(|order| allowed(&orders, *order));
+        let scored = candidates.map(|order| (order, series.score(&best.residuals, order)));
         let Some((order, _)) = scored.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-        let more = [&orders[..], &[order]].concat();
-        let next = fitted(&angles, &torques, &more, motion.ratio);
-        if !(next.held_out < WORTHWHILE * best.held_out) {
+        let (more, next) = refined(&series, [&orders[..], &[order]].concat(), allowed);
+        let error = series.held_out(&more);
+        if !(error < WORTHWHILE * held_out) {
             break;
         }
-        (orders, best) = (more, next);
-        refine(&mut orders, &mut best, (first, last), apart_by, |orders| {
-            fitted(&angles, &torques, orders, motion.ratio)
-        });
+        (orders, best, held_out) = (more, next, error);
     }
-    let Fitted { held_out, ref residuals, ref waves, .. } = best;
     if !(held_out < MAX_HELD_OUT_SHARE * before) {
         return Err(CoggingError::Nothing { before, held_out });
     }
-    let harmonic = |(order, (cosine, sine)): (&f64, &(f64, f64))| Harmonic {
-        order: *order as u16,
-        energy: (cosine.hypot(*sine) / (order * motion.ratio).abs()) as f32,
-        // d/dq of E cos(n θ + φ) is -E n ratio (cos φ sin nθ + sin φ cos nθ).
-        phase: (-cosine * motion.ratio.signum()).atan2(-sine * motion.ratio.signum()) as f32,
+    let harmonic = |(order, (cosine, sine)): (&f64, &(f64, f64))| {
+        let per_angle = order * motion.ratio;
+        // The windows have lowered a wave that passes in a time not much longer than theirs.
+        let half = (0.5 * per_angle * motion.speed * WINDOW_SECONDS).abs();
+        let kept = (half.sin() / half).powi(2);
+        Harmonic {
+            order: *order as u16,
+            energy: (cosine.hypot(*sine) / (kept * per_angle).abs()) as f32,
+            // d/dq of E cos(n q + φ) is -E n (cos φ sin n q + sin φ cos n q).
+            phase: (-cosine * per_angle.signum()).atan2(-sine * per_angle.signum()) as f32,
+        }
     };
-    let points = (0..bins.len()).map(|i| (angles[i], torques[i] - trend[i], torques[i] - trend[i] - residuals[i]));
+    let points = angles.iter().zip(&ripple).zip(&best.residuals);
     Ok(Learnt {
-        potential: orders.iter().zip(waves).map(harmonic).collect(),
+        potential: orders.iter().zip(&best.waves).map(harmonic).collect(),
         before,
-        after: rms(residuals),
+        after: rms(&best.residuals),
         held_out,
         friction: bins.iter().map(|(.., friction)| friction).sum::<f64>() / bins.len() as f64,
-        points: points.collect(),
+        points: points.map(|((q, ripple), residual)| (*q, *ripple, ripple - residual)).collect(),
     })
 }
 
-/// Moves each order to a neighbour while that leaves smaller residuals: an order that was found before the others may
-/// have taken a part of theirs.
-fn refine(
-    orders: &mut Vec<f64>,
-    best: &mut Fitted,
-    (first, last): (f64, f64),
-    apart_by: f64,
-    fitted: impl Fn(&[f64]) -> Fitted,
-) {
+/// Fits these orders, and moves each to a neighbour while that leaves smaller residuals: an order that was found before
+/// the others may have taken a part of theirs.
+fn refined(series: &Series<'_>, mut orders: Vec<f64>, allowed: impl Fn(&[f64], f64) -> bool) -> (Vec<f64>, Fitted) {
+    let mut best = series.fit(&orders);
     for _ in 0..MAX_MOVES {
-        let neighbours = (0..orders.len()).flat_map(|i| [-1.0, 1.0].map(|by| (i, orders[i] + by)));
-        let apart = |i: usize, order: f64| {
-            orders.iter().enumerate().all(|(j, other)| i == j || (order - other).abs() >= apart_by)
-        };
-        let allowed = neighbours.filter(|(i, order)| (first..=last).contains(order) && apart(*i, *order));
-        let moved = allowed.map(|(i, order)| {
+        let neighbours = (0..orders.len()).flat_map(|i| [(i, -1.0), (i, 1.0)]);
+        let moved = neighbours.filter_map(|(i, by)| {
             let mut moved = orders.clone();
-            moved[i] = order;
-            let fitted = fitted(&moved);
-            (moved, fitted)
+            let order = moved.remove(i) + by;
+            let free = allowed(&moved, order);
+            moved.insert(i, order);
+            free.then(|| (series.fit(&moved), moved))
         });
-        let Some((moved, next)) = moved.min_by(|a, b| rms(&a.1.residuals).total_cmp(&rms(&b.1.residuals))) else {
-            return;
+        let Some((next, moved)) = moved.min_by(|a, b| rms(&a.0.residuals).total_cmp(&rms(&b.0.residuals))) else {
+            break;
         };
         if rms(&next.residuals) >= MIN_IMPROVEMENT * rms(&best.residuals) {
-            return;
+            break;
         }
-        (*orders, *best) = (moved, next);
+        (orders, best) = (moved, next);
     }
+    (orders, best)
 }
 
 /// Returns angle, mean torque of both directions, and half the difference of the directions in every bin that both

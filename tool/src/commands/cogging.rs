@@ -20,8 +20,8 @@ use std::path::PathBuf;
 
 /// Learn the cogging of the motors, which the board then compensates (moves the device)
 ///
-/// Each joint in turn moves slowly through its arc, twice both ways, with the tip pressed by at most two fifths of its
-/// force limit. The mean of both directions is free of friction. The weight is subtracted by the device file, and a
+/// Each joint in turn moves slowly through its arc, twice both ways, held by at most half of its motor's torque and of the
+/// tip's force limit. The mean of both directions is free of friction. The weight is subtracted by the device file, and a
 /// slowly varying load by a polynomial. A Fourier series of a potential in the angle of the motor's shaft is fitted to
 /// the rest, with the orders that the arc resolves. Hands off.
 ///

@@ -15,6 +15,8 @@ const SLOTS_AND_POLES: [(u32, u32); 5] = [(12, 14), (9, 12), (12, 16), (24, 22),
 /// A paddle, its file and the device on the board, which differs from the file.
 pub struct CoggedPaddle {
     pub file: DeviceFile,
+    /// Text of the file.
+    pub text: String,
     pub wired: Description,
 }
 
@@ -24,10 +26,14 @@ fn common_multiple(a: u32, b: u32) -> u32 {
 
 impl CoggedPaddle {
     pub fn draw(seed: u64) -> Self {
+        Self::with_arc(seed, Random::new(seed + 1_000).between(0.6, 1.3))
+    }
+
+    /// Draws a paddle with limits of ±`half_arc`, rad.
+    pub fn with_arc(seed: u64, half_arc: f64) -> Self {
         let mut draw = Random::new(seed);
         let (slots, poles) = SLOTS_AND_POLES[(draw.uniform() * SLOTS_AND_POLES.len() as f64) as usize];
         let torque_constant = draw.between(0.05, 0.12);
-        let half_arc = draw.between(0.6, 1.3);
         let counts = [4_096, 8_192, 16_384][(draw.uniform() * 3.0) as usize];
         let text = format!(
             "name = \"cogged\"\nmechanism = \"paddle\"\ngravity = [-9.81, 0.0]\n[geometry]\nlength = 0.08\n[[link]]\n\
@@ -59,7 +65,7 @@ impl CoggedPaddle {
         joint.coulomb = most * draw.between(0.3, 2.0);
         let stribeck_speed = draw.between(0.02, 0.2);
         joint.friction = Some(Stribeck { rest: joint.coulomb * draw.between(1.0, 1.5), stribeck_speed });
-        Self { file, wired }
+        Self { file, text, wired }
     }
 
     pub fn board(&self) -> (SharedBoard, Board) {
@@ -70,6 +76,11 @@ impl CoggedPaddle {
         let shared = SharedBoard::new(simulated);
         let board = Board::over(shared.wire(), "sim").unwrap();
         (shared, board)
+    }
+
+    /// Returns the distance of the limits, rad.
+    pub fn arc(&self) -> f64 {
+        self.file.description.joints[0].limits.map_or(0.0, |(low, high)| high - low)
     }
 
     fn device(&self) -> Device<f32> {

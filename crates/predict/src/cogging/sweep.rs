@@ -18,23 +18,25 @@ use haptic_host::link::{Board, FADE_S, HOLD_S, LinkError};
 use nalgebra::{Matrix3, Vector3};
 use std::time::Duration;
 
+/// Longest time between two replies of one motion, s.
+const MAX_GAP_SECONDS: f64 = 0.1;
 /// Control rate of the motion, Hz.
-const RATE_HZ: f32 = 5_000.0;
+const RATE_HZ: f32 = 10_000.0;
 /// Interval between two requests, unless the link is slower.
 const INTERVAL: Duration = Duration::from_millis(1);
 /// Speed of a motor's shaft, rad/s (of a slide times its lever).
 const SPEED: f64 = 0.25;
 /// Angular frequencies of the moved joint on the plane that are tried, fastest first, and of the others, rad/s.
-const RATES: [f64; 4] = [150.0, 100.0, 60.0, 40.0];
+const RATES: [f64; 6] = [400.0, 250.0, 150.0, 100.0, 60.0, 40.0];
 const HOLD_RATE: f64 = 40.0;
 /// Ratio of the cutoff of the velocities to the joint's frequency.
 const CUTOFF_RATIO: f64 = 8.0;
 /// Largest torque that the velocity of one count may make, as a share of the pressing torque.
-const MAX_COUNT_SHARE: f64 = 0.3;
+const MAX_COUNT_SHARE: f64 = 0.5;
 /// Largest velocity after a single count, as a share of the count times the cutoff (rad/s).
 const COUNT_VELOCITY: f64 = 0.46;
 /// Pressing torque as a share of the joint's limit.
-const PRESSING_SHARE: f64 = 0.4;
+const PRESSING_SHARE: f64 = 0.5;
 /// Distance of the arc's ends from the joint's limits: share of the range, and at least rad (of a slide times its lever).
 const MARGIN: (f64, f64) = (0.03, 0.02);
 /// Largest ratio of the tip forces of a joint's torque within the arc of a linkage.
@@ -142,14 +144,8 @@ impl Sweep {
         (self.way as f64 - left).max(0.0) / PASSES as f64
     }
 
-    /// Continues from the present pose after the motors were off. The interrupted pass is continued.
-    pub fn resume(&mut self) {
-        (self.held, self.step) = (None, None);
-        // No window spans the pause.
-        self.time += 1.0;
-    }
-
-    /// Moves the joint on, with the motors armed. Returns true after the last pass. Call again at once.
+    /// Moves the joint on, with the motors armed. Returns true after the last pass. Call again at once, or after the
+    /// motors were off: the interrupted pass continues from the present pose.
     pub fn advance(&mut self, board: &mut Board) -> Result<bool, CoggingError> {
         board.rows(INTERVAL)?;
         let request = ForceRequest { sequence: self.request.sequence.wrapping_add(1), seen: self.step, ..self.request };
@@ -172,6 +168,10 @@ impl Sweep {
         let passed =
             self.step.replace(answer.step).map_or(0.0, |step| f64::from(answer.step.wrapping_sub(step)) * period);
         self.time += passed;
+        if passed > MAX_GAP_SECONDS {
+            // The motors were off, and the device may have moved.
+            self.held = None;
+        }
         let held = *self.held.get_or_insert_with(|| {
             self.target = at;
             q
