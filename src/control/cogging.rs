@@ -21,7 +21,7 @@ use core::ops::DerefMut;
 pub(super) struct CoggingCompensation {
     /// True if the compensation adds torques.
     pub acts: bool,
-    joints: [Compensation; MAX_JOINTS],
+    compensations: [Compensation; MAX_JOINTS],
     /// Counts at joint angle zero less the offset.
     zero: Counts,
     /// `zero` of the home at which the potentials were learnt; `None` if that was before the start.
@@ -36,7 +36,7 @@ where
 {
     /// Sets the compensation of a joint between two steps. `learnt_here` is true if it was learnt at the present home.
     pub(super) fn set_cogging(&mut self, joint: u8, compensation: &Compensation, learnt_here: bool) {
-        if let Some(place) = self.cogging.joints.get_mut(usize::from(joint)) {
+        if let Some(place) = self.cogging.compensations.get_mut(usize::from(joint)) {
             *place = *compensation;
         }
         self.cogging.learnt_at = (self.homed && learnt_here).then(|| self.zero());
@@ -55,7 +55,7 @@ where
         let by_hand = self.program.as_ref().is_none_or(|program| program.homing == Homing::Hand);
         let valid = !(self.hardware.real && by_hand) || self.cogging.learnt_at == Some(zero);
         self.cogging.zero = zero;
-        self.cogging.acts = valid && self.cogging.joints.iter().any(|joint| !joint.is_empty());
+        self.cogging.acts = valid && self.cogging.compensations.iter().any(|joint| !joint.is_empty());
         self.update_added_torques();
     }
 
@@ -67,10 +67,10 @@ where
     #[inline(always)]
     pub(super) fn add_cogging(&mut self, counts: &Counts) {
         let asked = &mut self.now.result.asked;
-        let CoggingCompensation { joints, zero, .. } = &self.cogging;
+        let CoggingCompensation { compensations, zero, .. } = &self.cogging;
         let counts = counts.iter().zip(zero.iter());
-        for ((joint, total), (count, zero)) in joints.iter().zip(&mut asked.total).zip(counts) {
-            *total += joint.torque(count.wrapping_sub(*zero));
+        for ((compensation, total), (count, zero)) in compensations.iter().zip(&mut asked.total).zip(counts) {
+            *total += compensation.torque(count.wrapping_sub(*zero));
         }
     }
 }
