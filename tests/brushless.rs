@@ -3,9 +3,8 @@
 //! The motor is written in its stator's frame: each phase is a resistance, an inductance and a sinusoidal back-EMF
 //! between its leg and the neutral point.
 
-use haptic_bridge::drive::brushless::Frame;
 use haptic_bridge::drive::motor_stage::{MotorDrive, MotorStage};
-use haptic_bridge::drive::stage::{Bridge, MAX_DUTY, Stage, Supply};
+use haptic_bridge::drive::stage::{Bridge, Frame, MAX_DUTY, Stage, Supply};
 use haptic_bridge::math::BinaryAngle;
 use haptic_bridge::model::motor::{Motor, Winding};
 use std::f64::consts::TAU;
@@ -61,8 +60,8 @@ impl Rig {
         let motor = motor();
         let mut stage = MotorStage::new(&motor, &bridge, 10.0);
         stage.set_encoder((TAU / COUNTS_PER_TURN) as f32);
-        // Seen through exchanged phases, the angle has the other sign and the torque too.
-        let electrical = if exchanged { TAU / 2.0 - OFFSET } else { OFFSET };
+        // Seen through exchanged phases, the angle has the other sign.
+        let electrical = if exchanged { -OFFSET } else { OFFSET };
         stage.align(BinaryAngle::from_radians(electrical), 0, exchanged);
         let wiring = if exchanged { [0, 2, 1] } else { [0, 1, 2] };
         Self { stage, motor, dead_time, wiring, angle: 0.0, speed, currents: [0.0; 3], legs: [0.5; 3] }

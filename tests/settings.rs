@@ -192,13 +192,15 @@ fn a_scene_of_version_1_keeps_its_velocity_terms() {
 }
 
 #[test]
-fn a_device_of_version_2_has_homing_by_hand_and_no_sensed_joints() {
+fn devices_of_earlier_versions_have_brushed_motors() {
+    let entry = earlier_entry("device-3", [1, 3]);
+    assert_eq!(decode::<Device<f32>>(&entry), Ok(stored_device()));
+    // Version 2 had neither homing nor encoders without motors.
     let without_additions = |body: &mut Vec<u8>| {
         body[1] = 2;
         body.truncate(body.len() - 2);
     };
-    let entry = with_changed_body(&encode(&stored_device()).unwrap(), without_additions);
-    assert_eq!(decode::<Device<f32>>(&entry), Ok(stored_device()));
+    assert_eq!(decode::<Device<f32>>(&with_changed_body(&entry, without_additions)), Ok(stored_device()));
 }
 
 #[test]
@@ -218,15 +220,19 @@ fn rules_without_a_tip_force_limit_get_a_low_limit() {
     assert_eq!(serde_json::from_value::<Rules>(json).expect("readable rules"), rules);
 }
 
-/// Reads a scene's entry of an earlier version from tests/golden.
-fn earlier_scene_entry(version: u8) -> Vec<u8> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/scene-{version}.txt"));
+/// Reads an entry of an earlier version from tests/golden, which has this key and version.
+fn earlier_entry(name: &str, begin: [u8; 2]) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.txt"));
     let hex = std::fs::read_to_string(path).expect("the golden file is there");
     let hex = hex.trim();
     let entry: Vec<u8> =
         (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
-    assert_eq!(entry[..2], [2, version], "a scene of that version");
+    assert_eq!(entry[..2], begin, "{name}");
     entry
+}
+
+fn earlier_scene_entry(version: u8) -> Vec<u8> {
+    earlier_entry(&format!("scene-{version}"), [2, version])
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::description::Homing;
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::Fault;
@@ -364,10 +364,19 @@ pub fn injection(fault: Fault) -> Injection {
             },
             30_000,
         ),
-        Fault::PolePairs => Cause::Elsewhere("crates/sim/tests/brushless.rs"),
+        Fault::PolePairs => chip(
+            "a three-phase motor with two pole pairs more than in the file",
+            || {
+                rig_with_other_motor("gimbal-paddle", |motor| {
+                    motor.winding = Winding::ThreePhase { pole_pairs: 13, ratio: 1.0 };
+                })
+            },
+            |rig| rig.tool.check_polarity().expect("the check starts"),
+            20_000,
+        ),
         Fault::ResistanceMismatch => chip(
             "a winding with twice the resistance in the file, in the polarity check",
-            || rig_with_other_motor(|motor| motor.resistance *= 2.0),
+            || rig_with_other_motor(FIVE_BAR, |motor| motor.resistance *= 2.0),
             |rig| rig.tool.check_polarity().expect("the check starts"),
             30_000,
         ),
@@ -575,15 +584,15 @@ fn rig_pushing_to_stop() -> Rig {
 
 /// Returns a rig whose first motor turns against the direction in the device file.
 fn rig_with_swapped_motor() -> Rig {
-    rig_with_other_motor(|motor| {
+    rig_with_other_motor(FIVE_BAR, |motor| {
         motor.torque_constant = -motor.torque_constant;
         motor.back_emf = -motor.back_emf;
     })
 }
 
-/// Returns a rig whose first motor differs from the device file.
-fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
-    let file = device_file(FIVE_BAR);
+/// Returns a homed board whose first motor is not the one in the file of `device`.
+fn rig_with_other_motor(device: &str, change: impl FnOnce(&mut Motor<f64>)) -> Rig {
+    let file = device_file(device);
     let mut wired = file.clone();
     wired.description.joints[0].motor.as_mut().map(change);
     let mut rig = Rig::with_file(BoardKind::OdriveV3, wired, |_| ());

@@ -108,7 +108,7 @@ impl DeviceFile {
             let mut max_current_in_file = [None; MAX_JOINTS];
             for (joint, in_file) in description.joints.iter_mut().zip(&mut max_current_in_file) {
                 let Some((motor, supply)) = joint.motor.as_mut().zip(supply) else { continue };
-                let drivable = supply * f64::from(MAX_DUTY) / motor.resistance;
+                let drivable = supply * f64::from(MAX_DUTY) / motor.supply_at_rest(1.0);
                 if motor.max_current > drivable {
                     *in_file = Some(motor.max_current);
                     motor.max_current = drivable;

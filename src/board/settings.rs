@@ -6,8 +6,12 @@
 use crate::board::storage::{CATALOGUE_KEY, DECISION_KEY};
 use crate::checksum::crc32;
 use crate::control::Rules;
+use crate::model::catalogue::MAX_JOINTS;
 use crate::model::cogging::Potentials;
-use crate::model::device::Device;
+use crate::model::description::{Homing, MAX_SENSED};
+use crate::model::device::{Device, Joint, NAME_LENGTH, Sensed};
+use crate::model::mechanism::AnyMechanism;
+use crate::model::motor::{Motor, Winding};
 use crate::render::scene::Scene;
 use crate::safety::limits::GENTLE_FORCE;
 use heapless::{String, Vec};
@@ -73,6 +77,11 @@ pub trait Setting: Serialize + DeserializeOwned {
     /// Earlier versions with fewer bytes: the version, the position of the missing bytes (from the value's first byte,
     /// or `END_POSITION`), and the bytes to insert.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[];
+
+    /// Decodes a value from exactly these bytes, which have the fields of this version.
+    fn from_bytes(_version: u8, bytes: &[u8]) -> Result<Self, Damage> {
+        value_of(bytes)
+    }
 }
 
 /// Position after the last byte.
@@ -80,10 +89,65 @@ const END_POSITION: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    /// Version 2 added the scale of a five-bar's rods, version 3 the reference of homing and the encoders without motors.
-    const VERSION: u8 = 3;
+    /// Version 2 added the scale of a five-bar's rods, version 3 the reference of homing and the encoders without motors,
+    /// version 4 three-phase motors.
+    const VERSION: u8 = 4;
     /// Appends homing by hand and an empty list.
-    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(2, END_POSITION, &[0x00, 0x00])];
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] =
+        &[(2, END_POSITION, &[0x00, 0x00]), (3, END_POSITION, &[])];
+
+    fn from_bytes(version: u8, bytes: &[u8]) -> Result<Self, Damage> {
+        if version < Self::VERSION { value_of::<EarlierDevice>(bytes).map(Self::from) } else { value_of(bytes) }
+    }
+}
+
+/// A device of version 3, with brushed motors.
+#[derive(Deserialize)]
+struct EarlierDevice {
+    name: String<NAME_LENGTH>,
+    mechanism: AnyMechanism<f32>,
+    weight: bool,
+    joints: [EarlierJoint; MAX_JOINTS],
+    home: Option<[f32; MAX_JOINTS]>,
+    homing: Homing<f32>,
+    sensed: Vec<Sensed<f32>, MAX_SENSED>,
+}
+
+#[derive(Deserialize)]
+struct EarlierJoint {
+    radians_per_count: f32,
+    counts_per_turn: i32,
+    offset: f32,
+    viscous: f32,
+    coulomb: f32,
+    limits: Option<(f32, f32)>,
+    motor: Option<EarlierMotor>,
+}
+
+#[derive(Deserialize)]
+struct EarlierMotor {
+    torque_constant: f32,
+    resistance: f32,
+    inductance: f32,
+    back_emf: f32,
+    max_current: f32,
+    verified: bool,
+}
+
+impl From<EarlierDevice> for Device<f32> {
+    fn from(earlier: EarlierDevice) -> Self {
+        let EarlierDevice { name, mechanism, weight, joints, home, homing, sensed } = earlier;
+        let joints = joints.map(|joint| {
+            let EarlierJoint { radians_per_count, counts_per_turn, offset, viscous, coulomb, limits, motor } = joint;
+            let motor = motor.map(|motor| {
+                let EarlierMotor { torque_constant, resistance, inductance, back_emf, max_current, verified } = motor;
+                let winding = Winding::Brushed;
+                Motor { torque_constant, resistance, inductance, back_emf, max_current, winding, verified }
+            });
+            Joint { radians_per_count, counts_per_turn, offset, viscous, coulomb, limits, motor }
+        });
+        Self { name, mechanism, weight, joints, home, homing, sensed }
+    }
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
@@ -178,7 +242,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
             for part in [before, missing, after] {
                 complete.extend_from_slice(part).map_err(|_| Damage::TooLong)?;
             }
-            value_of(&complete)
+            S::from_bytes(*version, &complete)
         }
         [_, _, value @ ..] => value_of(value),
         _ => Err(Damage::Corrupt),
@@ -186,7 +250,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
 }
 
 /// Decodes a value from exactly these bytes.
-fn value_of<S: Setting>(bytes: &[u8]) -> Result<S, Damage> {
+fn value_of<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Damage> {
     match postcard::take_from_bytes(bytes) {
         Ok((value, [])) => Ok(value),
         _ => Err(Damage::Corrupt),

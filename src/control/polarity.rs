@@ -164,6 +164,7 @@ where
         let (swung, pushed) = (self.polarity.swing.is_some(), self.polarity.push.is_some());
         let farthest = |j: usize| match j == i {
             true if pushed => f32::MAX,
+            true if self.polarity.alignment.follows() => Alignment::farthest(self.joints[i].stage.electrical_ratio()),
             false if swung || pushed => lever[j] * MAX_UNDRIVEN_ANGLE,
             _ => lever[j] * MAX_STRAY_ANGLE,
         };
@@ -174,13 +175,17 @@ where
                     let fault = if j == i && *work < 0.0 { Fault::PolarityWrong } else { Fault::TorqueMismatch };
                     self.trip(fault, Some(j as u8), moved[j] * lever[i] / (angle * lever[j]));
                 }
+                None if j == i && self.polarity.alignment.follows() => {
+                    let rough = self.polarity.alignment.rough_pole_pairs(moved[i], &self.joints[i].stage);
+                    self.trip(Fault::PolePairs, Some(i as u8), rough);
+                }
                 None if pushed => self.trip(Fault::StopMissing, Some(j as u8), moved[j]),
                 None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
             return none;
         }
-        if self.polarity.alignment.moves() {
-            return self.move_joint(moved[i]);
+        if self.polarity.alignment.follows() {
+            return self.follow_field(moved[i], counts[i]);
         }
         if let Some(mut push) = self.polarity.push {
             let torques = self.push_to_stop(&mut push, &moved, &counts);

@@ -200,6 +200,11 @@ impl Axis {
         self.expected
     }
 
+    /// Returns the possible error of the back-EMF at the last sample's speed, V.
+    pub(super) fn emf_tolerance(&self) -> f32 {
+        self.emf_tolerance
+    }
+
     /// Returns this axis without compensation of the dead time, which depends on the currents of the phases.
     pub(super) fn without_dead_time(self) -> Self {
         Self { dead_time_share: 0.0, ..self }

@@ -10,7 +10,7 @@
 //! phases reaches the bus voltage. The voltage of a phase is at most bus/√3; the direct axis has the first claim on it.
 
 use super::brushed::Axis;
-use super::stage::{Bridge, MAX_DUTY, Stage, Supply};
+use super::stage::{Bridge, Frame, MAX_DUTY, Stage, Supply};
 use crate::math::{BinaryAngle, clamp, sqrt, table_sin_cos};
 use crate::model::motor::{Motor, Winding};
 
@@ -24,23 +24,10 @@ const DEAD_TIME_KNEE: f32 = 0.1;
 const MIN_COUNTS_PER_TURN: f32 = 60.0;
 /// Units of a binary angle in a turn.
 const TURN: f32 = 4_294_967_296.0;
-const HALF_TURN: u32 = 1 << 31;
 
 /// Returns true if a count that turns the field by this electrical angle (rad) is fine enough for commutation.
 pub(crate) fn resolves(angle_per_count: f32) -> bool {
     angle_per_count.abs() * MIN_COUNTS_PER_TURN <= core::f32::consts::TAU && angle_per_count != 0.0
-}
-
-/// The frame of the two current loops.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Frame {
-    /// The electrical angle of the rotor is not known, so the motor receives no current.
-    #[default]
-    Unknown,
-    /// The frame stands still at this angle, for the alignment of the motor.
-    Fixed(BinaryAngle),
-    /// The frame turns with the rotor, and has this angle at count zero of the encoder.
-    Rotor(BinaryAngle),
 }
 
 /// The frame of a three-phase motor and its direct axis.
@@ -120,11 +107,10 @@ impl ThreePhase {
     }
 
     /// Implements [`Stage::align`]. If the phases are exchanged, the vectors of the stator are mirrored, so that the motor
-    /// turns forward in all other equations. Its torque also had the other sign in the standing frame in which
-    /// `electrical` was measured.
+    /// turns forward in all other equations.
     pub(super) fn align(&mut self, BinaryAngle(electrical): BinaryAngle, count: i32, reversed: bool) {
         self.mirror = if reversed { -1.0 } else { 1.0 };
-        let forward = if reversed { HALF_TURN.wrapping_sub(electrical) } else { electrical };
+        let forward = if reversed { electrical.wrapping_neg() } else { electrical };
         let turned = count.wrapping_mul(self.angle_per_count) as u32;
         self.frame = Frame::Rotor(BinaryAngle(forward.wrapping_sub(turned)));
     }
@@ -216,6 +202,14 @@ impl ThreePhase {
 
     pub(super) fn settle(&mut self, bus_voltage: f32) {
         self.direct.settle(PHASE_SHARE * bus_voltage, 0.0, 0.0, 0.0);
+    }
+
+    /// Returns the difference of the direct axis's voltage from the model, and the largest difference of a sound motor,
+    /// V. A rotor that turns at another angle than the frame induces a voltage here; `emf_tolerance` (V) is the part
+    /// that the error of a sound alignment may explain.
+    pub(super) fn direct_strain(&self, emf_tolerance: f32) -> (f32, f32) {
+        let (strain, _, most) = self.direct.strain();
+        (strain, most + emf_tolerance)
     }
 
     pub(super) fn rest(&mut self) {

@@ -1,8 +1,8 @@
 //! The motor stage of a board, for any motor that a device file describes.
 
 use super::brushed::Axis;
-use super::brushless::{Frame, ThreePhase};
-use super::stage::{Bridge, Duty, Stage, Supply};
+use super::brushless::ThreePhase;
+use super::stage::{Bridge, Duty, Frame, Stage, Supply};
 use crate::math::BinaryAngle;
 use crate::model::motor::Motor;
 
@@ -160,10 +160,13 @@ impl Stage for MotorStage {
 
     #[inline(always)]
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
+        let Some(three_phase) = &mut self.three_phase else {
+            return self.axis.settle(bus_voltage, given, speed, raw);
+        };
+        three_phase.settle(bus_voltage);
+        // A frame that stands still is driven without the back-EMF.
+        let given = if let Frame::Rotor(_) = three_phase.frame() { given } else { 0.0 };
         self.axis.settle(bus_voltage, given, speed, raw);
-        if let Some(three_phase) = &mut self.three_phase {
-            three_phase.settle(bus_voltage);
-        }
     }
 
     fn back_emf_current(&self, speed: f32) -> f32 {
@@ -196,8 +199,15 @@ impl Stage for MotorStage {
         }
     }
 
+    /// Returns the strain of the direct axis of a three-phase motor if it is above its bound.
     #[inline(always)]
     fn strain(&self) -> (f32, f32, f32) {
+        if let Some(three_phase) = &self.three_phase {
+            let (strain, most) = three_phase.direct_strain(self.axis.emf_tolerance());
+            if strain.abs() > most {
+                return (strain, most, most);
+            }
+        }
         self.axis.strain()
     }
 

@@ -4,7 +4,6 @@
 //! thermal budget to any stage, such as an amplifier with a current set-point (tests/stages.rs).
 
 use super::bits::margin_bits_between;
-use super::brushless::Frame;
 use crate::math::{BinaryAngle, clamp};
 use crate::model::motor::Motor;
 use core::fmt::Debug;
@@ -71,6 +70,18 @@ impl Supply {
     pub(crate) fn is_usable(&self) -> bool {
         margin_bits_between(self.volts, BUS_VOLTAGE) >= 0
     }
+}
+
+/// The frame of the two current loops of a three-phase motor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Frame {
+    /// The electrical angle of the rotor is not known, so the motor receives no current.
+    #[default]
+    Unknown,
+    /// The frame stands still at this angle, for the alignment of the motor.
+    Fixed(BinaryAngle),
+    /// The frame turns with the rotor, and has this angle at count zero of the encoder.
+    Rotor(BinaryAngle),
 }
 
 /// One motor and its power stage.

@@ -36,9 +36,15 @@ pub struct Motor<T> {
     /// Maximum current, A.
     pub max_current: T,
     /// Windings.
+    #[serde(default = "brushed")]
     pub winding: Winding<T>,
     /// True if a person or a calibration has verified these numbers. A real board refuses to arm unverified motors.
     pub verified: bool,
+}
+
+/// Returns the winding of motors in backups that name none.
+fn brushed<T>() -> Winding<T> {
+    Winding::Brushed
 }
 
 impl<T: Real> Motor<T> {
@@ -56,6 +62,13 @@ impl<T: Real> Motor<T> {
             Winding::Brushed => T::one(),
             Winding::ThreePhase { ratio, .. } => ratio,
         }
+    }
+
+    /// Returns the supply voltage that drives this current (A) through the motor at rest, V. Space-vector modulation
+    /// gives a phase at most 1/√3 of the supply.
+    pub fn supply_at_rest(&self, current: T) -> T {
+        let line_to_phase = if matches!(self.winding, Winding::Brushed) { 1.0 } else { 1.732_050_807_568_877_2 };
+        self.resistance * current * T::from_f64(line_to_phase)
     }
 
     /// Converts to another precision.

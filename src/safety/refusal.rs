@@ -123,7 +123,7 @@ impl core::fmt::Display for Refusal {
             ),
             Self::BridgeHasTwoLegs(joint) => write!(
                 f,
-                "the motor of joint {joint} is brushless, and this board's bridges have two legs: use an ODrive v3"
+                "the motor of joint {joint} is brushless, and this board's bridges have two legs: use a board with three"
             ),
             Self::NoCurrentSensor(joint) => write!(
                 f,

@@ -10,6 +10,15 @@ use super::motor::{MotorInput, PowerStage};
 use haptic_bridge::model::motor::Motor;
 use std::f64::consts::TAU;
 
+/// A broken phase, 0 to 2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BrokenPhase {
+    /// The phase carries no current.
+    Open(usize),
+    /// The winding of the phase is short-circuited, so that its terminal is the neutral point.
+    Shorted(usize),
+}
+
 /// The electrical state of one three-phase motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BrushlessModel {
@@ -18,20 +27,35 @@ pub struct BrushlessModel {
     electrical_ratio: f64,
     /// Electrical angle of the rotor at joint angle zero, rad.
     electrical_zero: f64,
-    /// Phase currents, A.
+    /// Winding currents, A.
     currents: [f64; 3],
+    broken: Option<BrokenPhase>,
 }
 
 impl BrushlessModel {
     /// Creates a motor without current; `None` for a brushed motor.
     pub fn new(motor: Motor<f64>, electrical_zero: f64) -> Option<Self> {
         let electrical_ratio = motor.electrical_ratio()?;
-        Some(Self { motor, electrical_ratio, electrical_zero, currents: [0.0; 3] })
+        Some(Self { motor, electrical_ratio, electrical_zero, currents: [0.0; 3], broken: None })
     }
 
-    /// Returns the phase currents, A.
+    /// Turns the rotor on its shaft by an electrical angle, rad.
+    pub fn slip(&mut self, angle: f64) {
+        self.electrical_zero += angle;
+    }
+
+    /// Breaks a phase.
+    pub fn break_phase(&mut self, broken: BrokenPhase) {
+        self.broken = Some(broken);
+    }
+
+    /// Returns the currents of the three terminals, A.
     pub fn currents(&self) -> [f64; 3] {
-        self.currents
+        let mut currents = self.currents;
+        if let Some(BrokenPhase::Shorted(phase)) = self.broken {
+            currents[phase] -= currents.iter().sum::<f64>();
+        }
+        currents
     }
 
     /// Returns the back-EMF of each phase at a joint angle of `q` (rad) and a speed of 1 rad/s, V s/rad.
@@ -74,11 +98,20 @@ impl BrushlessModel {
             let duty = if legs[i].is_finite() { legs[i].clamp(0.0, 1.0) } else { 0.0 };
             duty * bridge.bus_voltage - lost * (self.currents[i] / ripple).clamp(-1.0, 1.0)
         });
-        let neutral = volts.iter().sum::<f64>() / 3.0;
+        let inner: [f64; 3] = core::array::from_fn(|i| volts[i] - fields[i] * omega);
+        let neutral = match self.broken {
+            None => inner.iter().sum::<f64>() / 3.0,
+            Some(BrokenPhase::Open(phase)) => 0.5 * (inner.iter().sum::<f64>() - inner[phase]),
+            Some(BrokenPhase::Shorted(phase)) => volts[phase],
+        };
         let x = h * resistance / inductance;
         let mut mean = [0.0; 3];
         for i in 0..3 {
-            let settled = (volts[i] - neutral - fields[i] * omega) / resistance;
+            if self.broken == Some(BrokenPhase::Open(i)) {
+                self.currents[i] = 0.0;
+                continue;
+            }
+            let settled = (inner[i] - neutral) / resistance;
             let excess = self.currents[i] - settled;
             mean[i] = settled + excess * (-(-x).exp_m1()) / x;
             self.currents[i] = settled + excess * (-x).exp();

@@ -280,6 +280,13 @@ impl SimulatedDevice {
             _ => None,
         }
     }
+    /// Returns the model of a three-phase motor, `None` for a brushed motor.
+    pub fn three_phase_mut(&mut self, axis: usize) -> Option<&mut BrushlessModel> {
+        match self.motors.get_mut(axis) {
+            Some(AnyMotor::ThreePhase(motor)) => Some(motor),
+            _ => None,
+        }
+    }
     /// Returns the bus voltage, V.
     pub fn bus_voltage(&self) -> f64 {
         self.bridge.bus_voltage

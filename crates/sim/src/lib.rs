@@ -43,6 +43,7 @@ pub mod server;
 mod wire;
 
 pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ};
+pub use brushless::{BrokenPhase, BrushlessModel};
 pub use device::{DeviceError, Options, SimulatedDevice, Support};
 pub use encoder::EncoderModel;
 pub use faults::BoardFaults;

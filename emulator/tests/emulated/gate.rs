@@ -25,7 +25,7 @@ const PUSH_N: f64 = 1.0;
 const ROW_DIVIDER: u32 = 20;
 
 /// Runs a session with a board that latches `fault` when the fault line of its power stage is low.
-fn session(kind: BoardKind, device: &str, fault: Fault) {
+pub fn session(kind: BoardKind, device: &str, fault: Fault) {
     let mut rig = Rig::with_device(kind, device, |options| {
         options.friction = false;
         options.substep = 25e-6;
@@ -148,21 +148,11 @@ fn the_odrive_v3_image_renders_a_wall_and_stops_at_a_fault() {
 }
 
 #[test]
-fn the_h_bridge_f405_image_renders_and_stops_at_a_fault() {
-    session(BoardKind::HBridgeF405, "phantom-premium-1.5", Fault::BreakInput);
+fn the_h_bridge_f405_image_renders_with_a_delta_and_stops_at_a_fault() {
+    session(BoardKind::HBridgeF405, "falcon-like", Fault::BreakInput);
 }
 
 #[test]
 fn the_h_bridge_f407_disc1_image_renders_and_stops_at_a_fault() {
     session(BoardKind::HBridgeF407Disc1, "phantom-premium-1.5", Fault::BreakInput);
-}
-
-#[test]
-fn a_chain_on_the_odrive_v3_renders_and_stops_at_a_fault() {
-    session(BoardKind::OdriveV3, "planar-arm", Fault::GateDriver);
-}
-
-#[test]
-fn a_delta_on_the_h_bridge_f405_renders_and_stops_at_a_fault() {
-    session(BoardKind::HBridgeF405, "falcon-like", Fault::BreakInput);
 }

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
+use crate::gate::session;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::control::Rules;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::contact::{NearWall, scene};
@@ -334,4 +336,9 @@ fn a_wall_force_above_the_motors_limits_keeps_its_direction() {
             );
         }
     }
+}
+
+#[test]
+fn a_chain_on_the_odrive_v3_renders_and_stops_at_a_fault() {
+    session(BoardKind::OdriveV3, "planar-arm", Fault::GateDriver);
 }

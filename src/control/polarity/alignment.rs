@@ -1,52 +1,53 @@
 //! The alignment of a three-phase motor before its polarity check: the rotor's electrical angle, the direction and the
-//! number of pole pairs, from small swings.
+//! number of pole pairs, from small motions.
 //!
-//! A quadrature current in a frame that stands still at the electrical angle φ makes the torque Kₜ i cos(θ - φ), where
-//! θ is the electrical angle of the rotor. A swing in this frame measures the cosine. Two frames a quarter turn apart
-//! therefore give θ. Two more frames, an eighth of a turn to either side of this θ, correct it: friction lowers both
-//! cosines alike. The motor, commutated from there, then moves its joint by less than a quarter electrical turn, where
-//! either direction still pushes the joint the same way. The change of θ over the motion of the joint is the electrical
-//! ratio with its direction. A second and longer motion measures the ratio well enough to count the pole pairs. If two
-//! phases are exchanged, θ falls while the joint turns forward, and every measured θ is half a turn off, because the
-//! torque has the other sign.
+//! A quadrature current in a frame that stands still at the electrical angle φ makes a field at the angle φ + π/2 and the
+//! torque Kₜ i cos(θ - φ), where θ is the electrical angle of the rotor. A swing in this frame measures the cosine. Two
+//! frames a quarter turn apart therefore give θ roughly, and two frames an eighth of a turn to either side correct it.
+//! In these two the torque depends on the angle, so that the joint drifts while it swings: towards the middle between the
+//! frames' fields, or away from it if two phases are exchanged. The direction of the drift therefore tells the direction
+//! of the motor. Exchanged phases also change the sign of the torque, so θ is then half a turn off.
+//!
+//! The field then turns slowly from θ, ahead and back, and the rotor follows. Friction holds the rotor behind the field
+//! in either direction, so the mean of both directions is the rotor's angle. The field's angle over the joint's angle is
+//! the electrical ratio.
 
 use crate::control::ControlLoop;
 use crate::control::joints::Torques;
-use crate::control::polarity::swing::Swing;
 use crate::control::program::Program;
-use crate::drive::brushless::Frame;
-use crate::drive::stage::Stage;
-use crate::math::{BinaryAngle, Math, clamp, sqrt};
+use crate::drive::stage::{Frame, Stage};
+use crate::math::{BinaryAngle, Math, Real};
 use crate::safety::fault::Fault;
-use core::f32::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
+use core::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use core::ops::DerefMut;
 
-/// Accepted ratio (lowest, highest) of the torque that acted to the file's torque.
-const ACCEPTED_TORQUE_RATIO: (f32, f32) = (0.5, 1.6);
 /// Largest swing to either side in a standing frame, electrical rad.
 pub(super) const MAX_SWING_ELECTRICAL: f32 = 0.25;
-/// Largest correction of the electrical angle after which no further correction follows, rad.
-const MAX_LAST_CORRECTION: f32 = 0.06;
+/// Torque that pulls the rotor towards the field, as a ratio to the torque that moved the joint in a swing.
+const PULL_FRICTION_RATIO: f32 = 2.5;
+/// Smallest tip force of the pull, N.
+const MIN_PULL_FORCE: f32 = 0.15;
+/// Largest tip force of the pull, N.
+const MAX_PULL_FORCE: f32 = 0.8;
+/// Time in which the pull grows, s.
+const GROWTH_SECONDS: f32 = 0.3;
+/// Speed of the joint behind the field, rad/s.
+const FOLLOWING_SPEED: f32 = 0.1;
 /// Share of a correction that is applied, because friction lowers the smaller of two cosines more.
 const CORRECTION_SHARE: f32 = 0.7;
-/// Largest number of corrections at one place.
-const MAX_CORRECTIONS: u8 = 6;
-/// Length of the first motion, electrical rad.
-const FIRST_MOTION_ELECTRICAL: f32 = 0.4;
-/// Largest length of the second motion, electrical rad.
+/// Motion of the joint to either side, rad, and the largest such motion, electrical rad.
+const MOTION: f32 = 0.08;
 const MAX_MOTION_ELECTRICAL: f32 = 2.0;
-/// Largest length of a motion, joint rad.
-const MAX_MOTION: f32 = 0.08;
-/// Accepted relative difference of the electrical ratio after the first motion, whose length is short.
-const FIRST_RATIO_ERROR: f32 = 0.6;
-/// Accepted difference of the electrical ratio after the second motion, electrical turns per shaft turn.
+/// Angle that the field turns in addition, because the rotor stays behind, rad.
+const LAG_ELECTRICAL: f32 = 0.8;
+/// Motion of the joint after which a direction ends early, rad, but at least this electrical angle.
+const MAX_MOTION: (f32, f32) = (0.12, 2.6);
+/// Largest distance of the joint from its initial angle, rad, but at least this electrical angle.
+const MAX_ALIGNING_ANGLE: (f32, f32) = (0.2, 3.0);
+/// Motion after which the joint follows in a new direction, rad, but at least two counts.
+const MIN_FOLLOWED_ANGLE: f32 = 0.004;
+/// Accepted difference of the measured ratio, electrical turns per shaft turn.
 const MAX_POLE_PAIR_ERROR: f32 = 0.5;
-/// Speed at which the position that pulls the joint moves, rad/s.
-const MOTION_SPEED: f32 = 0.1;
-/// Distance at which the pull reaches the largest torque of a swing, rad.
-const FULL_PULL_DISTANCE: f32 = 0.1;
-/// Longest time of a motion, s.
-const MAX_MOTION_SECONDS: f32 = 4.0;
 
 /// The present part of an alignment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,42 +57,73 @@ enum Part {
     Zero,
     /// Swings in the frame a quarter turn ahead.
     Quarter,
-    /// Swings in the frame an eighth of a turn behind the estimate.
+    /// Swings in the frame an eighth of a turn behind the rough angle.
     Behind,
-    /// Swings in the frame an eighth of a turn ahead of the estimate.
+    /// Swings in the frame an eighth of a turn ahead of the rough angle.
+    Before,
+    /// The torque towards the field grows.
+    Pull,
+    /// The field turns ahead.
     Ahead,
-    /// Moves the joint.
-    Motion,
+    /// The field turns back, past its first angle.
+    Back,
+    /// The field turns ahead to its first angle.
+    Return,
 }
 
-/// A place at which the electrical angle was measured.
+/// Sums for the straight line through points (joint angle, angle of the field), rad.
 #[derive(Clone, Copy, Debug, Default)]
-struct Place {
-    /// Joint angle, rad.
+struct Line {
+    points: f32,
     q: f32,
-    /// Electrical angle, rad.
-    electrical: f32,
+    field: f32,
+    q_squared: f32,
+    q_field: f32,
+}
+
+impl Line {
+    fn add(&mut self, q: f32, field: f32) {
+        self.points += 1.0;
+        self.q += q;
+        self.field += field;
+        self.q_squared += q * q;
+        self.q_field += q * field;
+    }
+
+    /// Returns the variance of the joint angle and its covariance with the field, times the number of points.
+    fn moments(&self) -> (f32, f32) {
+        let mean = self.q / self.points.max(1.0);
+        (self.q_squared - mean * self.q, self.q_field - mean * self.field)
+    }
+
+    /// Returns the angle of the field at joint angle zero on a line of this slope.
+    fn offset(&self, slope: f32) -> f32 {
+        (self.field - slope * self.q) / self.points.max(1.0)
+    }
 }
 
 /// The alignment of one motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Alignment {
     part: Part,
-    /// Estimate of the electrical angle, rad.
-    estimate: f32,
-    /// Cosine that the previous swing measured.
+    /// Cosine that the last swing measured.
     cosine: f32,
-    /// Joint angle at which the previous swing took place, rad.
+    /// Joint angle at which the last swing took place, rad.
     place: f32,
-    corrections: u8,
-    /// Place before the motions.
-    first: Option<Place>,
-    /// Measured electrical ratio, with the sign of the direction.
-    ratio: Option<f32>,
-    /// Length of the present motion, rad.
-    length: f32,
-    /// Time in the present motion, s.
+    /// Smallest torque that moved the joint in a swing, N m.
+    breakaway_torque: Option<f32>,
+    /// Torque that pulls the rotor towards the field, N m.
+    torque: f32,
+    /// First electrical angle of the field, rad.
+    first: f32,
+    /// Angle of the field from its first angle, rad.
+    field: f32,
+    /// Joint angle from the initial angle at which the present direction began, rad.
+    turned_at: f32,
+    /// Time since the torque began to grow, s.
     seconds: f32,
+    ahead: Line,
+    back: Line,
     /// True if the motor's frame turns with its rotor from now on.
     done: bool,
 }
@@ -102,33 +134,21 @@ impl Alignment {
         stage.is_three_phase() && !self.done
     }
 
-    /// Returns true while a swing may find no motion, because its frame may lie across the rotor's field.
-    pub(super) fn may_stand_still(&self) -> bool {
-        matches!(self.part, Part::Zero | Part::Quarter)
+    /// Returns true while the rotor follows the field.
+    pub(super) fn follows(&self) -> bool {
+        !self.done && matches!(self.part, Part::Pull | Part::Ahead | Part::Back | Part::Return)
     }
 
-    /// Returns true while the joint moves to another place.
-    pub(super) fn moves(&self) -> bool {
-        self.part == Part::Motion
+    /// Returns the pole pairs of a rotor that followed the field to this distance from its initial angle, rad.
+    pub(super) fn rough_pole_pairs(&self, moved: f32, stage: &impl Stage) -> f32 {
+        (self.field / moved).abs() * stage.pole_pairs() / stage.electrical_ratio()
     }
 
-    /// Returns the frame of the next swing.
-    fn frame(&self) -> Frame {
-        let angle = match self.part {
-            Part::Zero => 0.0,
-            Part::Quarter => FRAC_PI_2,
-            Part::Behind => self.estimate - FRAC_PI_4,
-            Part::Ahead | Part::Motion => self.estimate + FRAC_PI_4,
-        };
-        Frame::Fixed(BinaryAngle::from_radians(angle.into()))
+    /// Returns the largest distance of the joint from its initial angle while the rotor follows the field, rad;
+    /// `electrical_ratio` is the file's.
+    pub(super) fn farthest(electrical_ratio: f32) -> f32 {
+        MAX_ALIGNING_ANGLE.0.greater(MAX_ALIGNING_ANGLE.1 / electrical_ratio)
     }
-}
-
-/// Returns an angle in -π..π that differs by whole turns, rad.
-fn principal(angle: f32) -> f32 {
-    let turns = angle / TAU;
-    let whole = (turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
-    angle - whole as f32 * TAU
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -143,135 +163,123 @@ where
         if !self.polarity.alignment.is_under_way(&self.joints[i].stage) {
             return false;
         }
-        self.joints[i].stage.set_frame(self.polarity.alignment.frame());
+        let Alignment { part, first, .. } = self.polarity.alignment;
+        let angle = match part {
+            Part::Zero => 0.0,
+            Part::Behind => first - FRAC_PI_4,
+            Part::Before => first + FRAC_PI_4,
+            _ => FRAC_PI_2,
+        };
+        self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
         self.begin_first_swing();
         true
     }
 
-    /// Continues an alignment after a swing that measured this cosine.
-    pub(super) fn continue_alignment(&mut self, cosine: f32, place: f32) {
-        let (axis, alignment) = (Some(self.axis() as u8), &mut self.polarity.alignment);
-        let before = core::mem::replace(&mut alignment.cosine, cosine);
+    /// Continues an alignment after a swing at this joint angle (rad), which measured this cosine. `breakaway` is the
+    /// torque that moved the joint, N m.
+    pub(super) fn continue_alignment(&mut self, cosine: f32, place: f32, breakaway: Option<f32>) {
+        let axis = Some(self.axis() as u8);
+        (self.polarity.swing, self.polarity.part) = (None, 0);
+        let alignment = &mut self.polarity.alignment;
+        let (before, from) = (alignment.cosine, alignment.place);
+        (alignment.cosine, alignment.place) = (cosine, place);
+        let known = alignment.breakaway_torque.unwrap_or(f32::MAX);
+        alignment.breakaway_torque = breakaway.map(|torque| torque.lesser(known)).or(alignment.breakaway_torque);
         alignment.part = match alignment.part {
             Part::Zero => Part::Quarter,
-            Part::Quarter if before == 0.0 && cosine == 0.0 => {
-                return self.trip(Fault::PolarityNoMotion, axis, 0.0);
-            }
             Part::Quarter => {
-                alignment.estimate = libm::atan2f(cosine, before);
+                alignment.first = libm::atan2f(cosine, before);
                 Part::Behind
             }
-            Part::Behind => Part::Ahead,
-            Part::Ahead | Part::Motion => {
-                let place = 0.5 * (alignment.place + place);
-                return self.correct_angle(before, cosine, place);
+            Part::Behind => Part::Before,
+            _ => Part::Pull,
+        };
+        let Some(breakaway) = alignment.breakaway_torque else {
+            if alignment.part == Part::Behind {
+                self.trip(Fault::PolarityNoMotion, axis, 0.0);
+            } else {
+                self.begin_aligning_swing();
             }
+            return;
         };
-        alignment.place = place;
-        self.continue_swings();
-    }
-
-    fn continue_swings(&mut self) {
-        (self.polarity.swing, self.polarity.part) = (None, 0);
-        self.begin_aligning_swing();
-    }
-
-    /// Corrects the electrical angle by the cosines in the frames behind and ahead, and goes on if the angle is good.
-    fn correct_angle(&mut self, behind: f32, ahead: f32, place: f32) {
-        let axis = Some(self.axis() as u8);
-        let size = sqrt(behind * behind + ahead * ahead);
-        if !(ACCEPTED_TORQUE_RATIO.0..=ACCEPTED_TORQUE_RATIO.1).contains(&size) {
-            return self.trip(Fault::TorqueMismatch, axis, size);
+        if alignment.part != Part::Pull {
+            self.begin_aligning_swing();
+            return;
         }
-        // cos(δ + π/4) behind and cos(δ - π/4) ahead: their difference over their sum is tan δ.
-        let correction = CORRECTION_SHARE * libm::atan2f(ahead - behind, ahead + behind);
-        let alignment = &mut self.polarity.alignment;
-        alignment.estimate = principal(alignment.estimate + correction);
-        alignment.corrections += 1;
-        if correction.abs() > MAX_LAST_CORRECTION && alignment.corrections < MAX_CORRECTIONS {
-            alignment.part = Part::Behind;
-            return self.continue_swings();
+        // cos(δ + π/4) behind and cos(δ - π/4) before: their difference over their sum is tan δ.
+        alignment.first += CORRECTION_SHARE * libm::atan2f(cosine - before, cosine + before);
+        if place > from {
+            alignment.first += PI;
         }
-        alignment.corrections = 0;
-        self.finish_place(Place { q: place, electrical: self.polarity.alignment.estimate });
+        let force = self.polarity.force_per_torque;
+        let most = (MAX_PULL_FORCE / force).greater(breakaway);
+        alignment.torque = (PULL_FRICTION_RATIO * breakaway).greater(MIN_PULL_FORCE / force).lesser(most);
+        self.polarity.initial = None;
     }
 
-    /// Uses the electrical angle at a place: moves on from the first place, and compares the second with the file.
-    fn finish_place(&mut self, place: Place) {
-        let (i, alignment) = (self.axis(), &mut self.polarity.alignment);
+    /// Runs a step in which the rotor follows the field, and returns the torques. `moved` is the joint's motion from its
+    /// initial angle, rad; `count` is its angle per encoder count, rad.
+    pub(super) fn follow_field(&mut self, moved: f32, count: f32) -> Torques {
+        let (i, period) = (self.axis(), self.polarity.step_period);
         let file = self.joints[i].stage.electrical_ratio();
-        let Some(first) = alignment.first.replace(place) else {
-            return self.begin_motion(place, (FIRST_MOTION_ELECTRICAL / file).min(MAX_MOTION), false);
+        let end = (MOTION * file).lesser(MAX_MOTION_ELECTRICAL) + LAG_ELECTRICAL;
+        let alignment = &mut self.polarity.alignment;
+        alignment.seconds += period;
+        let step = FOLLOWING_SPEED * file * period;
+        alignment.field += match alignment.part {
+            Part::Ahead | Part::Return => step,
+            Part::Back => -step,
+            _ => 0.0,
         };
-        let moved = place.q - first.q;
-        // After a long motion the angle is known only up to whole turns without the ratio of the first motion.
-        let expected = alignment.ratio.map_or(0.0, |ratio| ratio * moved);
-        let turned = expected + principal(place.electrical - first.electrical - expected);
-        let ratio = turned / moved;
-        let (found, relative) = (ratio.abs() * self.joints[i].stage.pole_pairs() / file, ratio.abs() / file - 1.0);
-        let is_last = alignment.ratio.is_some();
-        let error = if is_last { MAX_POLE_PAIR_ERROR / self.joints[i].stage.pole_pairs() } else { FIRST_RATIO_ERROR };
+        let follows = (moved - alignment.turned_at).abs() > MIN_FOLLOWED_ANGLE.greater(2.0 * count.abs());
+        let is_far = follows && moved.abs() > MAX_MOTION.0.greater(MAX_MOTION.1 / file);
+        let (field, growth) = (alignment.field, (alignment.seconds / GROWTH_SECONDS).lesser(1.0));
+        match alignment.part {
+            Part::Ahead if follows => alignment.ahead.add(moved, field),
+            Part::Back if follows => alignment.back.add(moved, field),
+            _ => {}
+        }
+        let next = match alignment.part {
+            Part::Ahead => (field >= end || is_far).then_some(Part::Back),
+            Part::Back => (field <= -end || is_far).then_some(Part::Return),
+            Part::Return if field >= 0.0 => {
+                self.finish_alignment(moved);
+                return Torques::default();
+            }
+            Part::Return => None,
+            _ => (growth >= 1.0).then_some(Part::Ahead),
+        };
+        if let Some(part) = next {
+            (alignment.part, alignment.turned_at) = (part, moved);
+        }
+        let torque = growth * alignment.torque;
+        let angle = alignment.first + alignment.field - FRAC_PI_2;
+        self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
+        self.torques_within_tip_force(torque)
+    }
+
+    /// Compares the measured ratio with the file's, and lets the motor's frame turn with its rotor.
+    fn finish_alignment(&mut self, moved: f32) {
+        let i = self.axis();
+        let Alignment { ahead, back, first, .. } = self.polarity.alignment;
+        let [(ahead_variance, ahead_covariance), (back_variance, back_covariance)] = [ahead.moments(), back.moments()];
+        let variance = ahead_variance + back_variance;
+        if !(variance > 0.0 && ahead.points > 0.0 && back.points > 0.0) {
+            return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
+        }
+        let ratio = (ahead_covariance + back_covariance) / variance;
+        let stage = &mut self.joints[i].stage;
+        let (file, pole_pairs) = (stage.electrical_ratio(), stage.pole_pairs());
+        let found = ratio.abs() * pole_pairs / file;
         // Written so that NaN is an error.
-        if !(relative.abs() <= error) {
+        if !((found - pole_pairs).abs() <= MAX_POLE_PAIR_ERROR) {
             return self.trip(Fault::PolePairs, Some(i as u8), found);
         }
-        alignment.ratio = Some(ratio.signum() * file);
-        if !is_last {
-            // Moves back, so that the joint stays near its initial place.
-            return self.begin_motion(place, -(MAX_MOTION_ELECTRICAL / file).min(MAX_MOTION), ratio < 0.0);
-        }
-        self.align(place, ratio < 0.0);
-        let alignment = &mut self.polarity.alignment;
-        alignment.done = true;
-        (self.polarity.swing, self.polarity.part) = (None, 0);
-        self.begin_first_swing();
-    }
-
-    /// Lets the motor's frame turn with its rotor, from the electrical angle at a place.
-    fn align(&mut self, place: Place, reversed: bool) {
-        let i = self.axis();
-        let Some(program) = self.program.as_ref() else { return };
-        let back = (self.polarity.q[i] - place.q) / program.radians_per_count[i];
-        let count = self.now.counts[i].wrapping_sub(back as i32);
-        self.joints[i].stage.align(BinaryAngle::from_radians(place.electrical.into()), count, reversed);
-    }
-
-    fn begin_motion(&mut self, place: Place, length: f32, reversed: bool) {
-        self.align(place, reversed);
-        let alignment = &mut self.polarity.alignment;
-        (alignment.part, alignment.length) = (Part::Motion, length);
-        alignment.seconds = 0.0;
-        self.polarity.initial = Some(self.polarity.q);
-        self.polarity.part = 0;
-    }
-
-    /// Runs a step of a motion and returns the torques. `moved` is the joint's motion since its beginning, rad.
-    pub(super) fn move_joint(&mut self, moved: f32) -> Torques {
-        let i = self.axis();
-        let Some(Swing { max_torque, .. }) = self.polarity.swing else { return Torques::default() };
-        let alignment = &mut self.polarity.alignment;
-        alignment.seconds += self.polarity.step_period;
-        let direction = alignment.length.signum();
-        let has_arrived = direction * moved >= alignment.length.abs();
-        let is_over = alignment.seconds > MAX_MOTION_SECONDS;
-        if is_over && direction * moved < 0.5 * alignment.length.abs() {
-            self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
-            return Torques::default();
-        }
-        if has_arrived || is_over {
-            alignment.part = Part::Behind;
-            if let (Some(first), Some(ratio)) = (alignment.first, alignment.ratio) {
-                // The estimate of the second place follows from the ratio of the first motion.
-                alignment.estimate = principal(first.electrical + ratio * (self.polarity.q[i] - first.q));
-            }
-            (self.polarity.swing, self.polarity.inertia) = (None, None);
-            self.polarity.wait_seconds = 0.0;
-            return Torques::default();
-        }
-        let pull = direction * MOTION_SPEED * alignment.seconds - moved;
-        let stiffness = max_torque / FULL_PULL_DISTANCE;
-        let damping = 1.4 * sqrt(stiffness * self.polarity.effective_inertia);
-        let wanted = stiffness * pull - damping * self.joints[i].speed();
-        self.torques_within_tip_force(clamp(wanted, max_torque))
+        let ratio = if ratio < 0.0 { -file } else { file };
+        let electrical = first + 0.5 * (ahead.offset(ratio) + back.offset(ratio)) + ratio * moved;
+        stage.align(BinaryAngle::from_radians(electrical.into()), self.now.counts[i], ratio < 0.0);
+        self.polarity.alignment.done = true;
+        (self.polarity.swing, self.polarity.inertia, self.polarity.initial) = (None, None, None);
+        (self.polarity.part, self.polarity.wait_seconds) = (0, 0.0);
     }
 }

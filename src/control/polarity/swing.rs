@@ -110,7 +110,7 @@ pub(super) struct Swing {
     /// Present amplitude of the torque, N m.
     torque: f32,
     /// Largest allowed amplitude of the torque, N m.
-    pub(super) max_torque: f32,
+    max_torque: f32,
     /// Growth of the torque, N m/s.
     growth: f32,
     /// Angular frequency, rad/s.
@@ -335,7 +335,7 @@ where
                 swing.growth = 0.0;
             }
             swing.torque = (swing.torque + swing.growth * pace).lesser(swing.max_torque);
-        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 && polarity.alignment.may_stand_still() {
+        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 && swing.aligning {
             polarity.part = 1;
             return Torques::default();
         } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 {
@@ -343,7 +343,7 @@ where
             return Torques::default();
         }
         let mut back = -swing.stiffness * moved[i] - swing.damping * speed;
-        if polarity.alignment.may_stand_still() && swing.aligning {
+        if swing.aligning {
             // Only the work so far shows the sign of the torque in this frame.
             back *= if swing.work > 0.0 { 1.0 } else { -1.0 };
         }
@@ -361,10 +361,10 @@ where
         match part {
             1 if swing.aligning => {
                 self.compare_torques(swing);
+                let cosine = if swing.breakaway_torque.is_some() { self.polarity.results.torque_ratio } else { 0.0 };
                 let (i, (low, high)) = (self.axis(), swing.motion_range[self.axis()]);
                 let place = self.polarity.initial.map_or(0.0, |from| from[i]) + 0.5 * (low + high);
-                let cosine = if swing.breakaway_torque.is_some() { self.polarity.results.torque_ratio } else { 0.0 };
-                self.continue_alignment(cosine, place);
+                self.continue_alignment(cosine, place, swing.breakaway_torque);
             }
             1 => self.compare_torques(swing),
             2 => self.compare_resistance(swing),

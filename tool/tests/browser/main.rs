@@ -42,7 +42,10 @@ fn as_an_expert(browser: &mut Browser, tab: &Tab) {
         "view.last.hand === null && view.walls.every(wall => wall.feed_forward !== 'off' || !view.hello.smooth)",
     );
     browser.evaluate(tab, "view.settled = [view.pictures + 10, view.sweeps + 5]");
-    browser.wait_until(tab, "view.pictures > view.settled[0] && view.sweeps > view.settled[1] && view.planeFrame");
+    browser.wait_until(
+        tab,
+        "view.pictures > view.settled[0] && view.sweeps > view.settled[1] && Boolean(view.planeFrame)",
+    );
 }
 
 /// Lets the page treat its simulated board as a real one, with the motors off.

@@ -4,9 +4,10 @@ use super::forces::MotorTipForce;
 use super::plane_wall;
 use super::prelude::*;
 use haptic_bridge::model::description::Joint;
-use haptic_bridge::model::motor::Motor;
+use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_bridge::safety::fault::FaultRecord;
-use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
+use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_sim::{BoardFaults, BrokenPhase, Hand, Random, SimulatedBoard};
 use std::f64::consts::TAU;
 
 /// Function that injects an error, and the time at which the error begins.
@@ -15,6 +16,9 @@ pub enum Injection {
     Always(fn(&mut Description, &mut BoardFaults)),
     /// The error begins while a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
+    /// Like `InContact`, with an error of a three-phase motor drawn from this seed. The board knows the electrical
+    /// angles without a check.
+    DrawnInContact(u64),
 }
 
 /// An injected error, as the tables of docs/results/lies.csv name it.
@@ -31,7 +35,7 @@ const fn contact_error(what: &'static str, error: fn(&mut SimulatedBoard, &Descr
     InjectedError { what, injection: Injection::InContact(error) }
 }
 
-pub const INJECTED_ERRORS: [InjectedError; 37] = [
+pub const INJECTED_ERRORS: [InjectedError; 43] = [
     permanent_error("torque constant twice the file's", |wired, _| scale_motor_constants(&mut wired.joints, 2.0)),
     permanent_error("torque constant half the file's", |wired, _| scale_motor_constants(&mut wired.joints, 0.5)),
     permanent_error("torque constant 1.15 of the file's", |wired, _| scale_motor_constants(&mut wired.joints, 1.15)),
@@ -77,6 +81,12 @@ pub const INJECTED_ERRORS: [InjectedError; 37] = [
         let [first, second, _] = board.device().counts();
         board.faults_mut().swapped_at = Some([first, second]);
     }),
+    contact_error("first motor: a phase opens", |board, _| break_phase(board, BrokenPhase::Open(1))),
+    contact_error("first motor: a phase is shorted", |board, _| break_phase(board, BrokenPhase::Shorted(1))),
+    contact_error("first motor: rotor slips by 90 electrical degrees", |board, _| slip(board, TAU / 4.0)),
+    contact_error("first motor: rotor slips by 180 electrical degrees", |board, _| slip(board, TAU / 2.0)),
+    permanent_error("first motor: two pole pairs more than in the file", |wired, _| add_pole_pairs(wired, 2)),
+    contact_error("first motor: two phases change places", |board, _| board.faults_mut().reversed[0] = true),
     contact_error("bus shows half", |board, _| board.faults_mut().bus_reading = Some(12.0)),
     contact_error("bus shows twice", |board, _| board.faults_mut().bus_reading = Some(48.0)),
 ];
@@ -119,6 +129,32 @@ fn scale_encoder_motion(board: &mut SimulatedBoard, share: f64) {
     board.faults_mut().share[0] = Some((board.device().counts()[0], share));
 }
 
+/// Returns true if the error concerns only three-phase motors.
+pub fn needs_phases(error: &InjectedError) -> bool {
+    error.what.starts_with("first motor: ")
+}
+
+fn break_phase(board: &mut SimulatedBoard, broken: BrokenPhase) {
+    if let Some(motor) = board.device_mut().three_phase_mut(0) {
+        motor.break_phase(broken);
+    }
+}
+
+/// Turns the first motor's rotor on its shaft by an electrical angle, rad.
+fn slip(board: &mut SimulatedBoard, angle: f64) {
+    if let Some(motor) = board.device_mut().three_phase_mut(0) {
+        motor.slip(angle);
+    }
+}
+
+fn add_pole_pairs(wired: &mut Description, more: u8) {
+    if let Some(Winding::ThreePhase { pole_pairs, .. }) =
+        wired.joints[0].motor.as_mut().map(|motor| &mut motor.winding)
+    {
+        *pole_pairs += more;
+    }
+}
+
 fn counts_per_radian(device: &Description) -> f64 {
     device.joints[0].encoder.map_or(0.0, |encoder| encoder.counts_per_turn) / TAU
 }
@@ -144,9 +180,30 @@ pub struct EffectsOnHand {
     pub speed: f64,
 }
 
+/// Injects an error of a three-phase motor, at a random time of the next 0.4 s.
+fn draw_phase_error(board: &mut SimulatedBoard, device: &Description, seed: u64) {
+    let mut draw = Random::new(seed);
+    board.run(draw.between(0.0, 0.4));
+    let phase = (3.0 * draw.uniform()) as usize;
+    match (8.0 * draw.uniform()) as usize {
+        0 => break_phase(board, BrokenPhase::Open(phase)),
+        1 => break_phase(board, BrokenPhase::Shorted(phase)),
+        2 => board.faults_mut().sensor_gain[phase % 2] = 0.0,
+        3 => scale_encoder_motion(board, 0.0),
+        4 => {
+            let rate = draw.between(-6.0, 6.0) * counts_per_radian(device) / board.carrier_hz();
+            board.faults_mut().drift[0] = Some((board.readings(), rate));
+        }
+        5 => scale_encoder_motion(board, draw.between(0.3, 3.0)),
+        6 => board.faults_mut().reversed[0] = true,
+        _ => slip(board, draw.between(30.0, 180.0).to_radians() * if phase == 0 { -1.0 } else { 1.0 }),
+    }
+}
+
 /// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
 fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
-    board_with_error(&file.name, &file.description, Options::default(), |wired, broken| {
+    let strict = !matches!(error.injection, Injection::DrawnInContact(_));
+    board_with_error(&file.name, &file.description, Options::default(), strict, |wired, broken| {
         if let Injection::Always(error) = error.injection {
             error(wired, broken);
         }
@@ -154,10 +211,11 @@ fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board,
 }
 
 /// Like [`homed_board`] with any description and error.
-fn board_with_error(
+pub fn board_with_error(
     name: &str,
     description: &Description,
     device: Options,
+    strict: bool,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (SharedBoard, Board, Description) {
     let mut device_file = *description;
@@ -167,20 +225,21 @@ fn board_with_error(
         joint.limits = Some((home - 1.5, home + 1.5));
     }
     let mut wired = device_file;
-    let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
+    let mut options = BoardOptions { device, strict, support: Support::Held, ..BoardOptions::default() };
     error(&mut wired, &mut options.faults);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(name, &device_file, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let rules = board.rules().unwrap();
-    board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
+    let mut rules = board.rules().unwrap();
+    (rules.host_action, rules.limits.tip_force) = (HostAction::Ignore, GENTLE_FORCE);
+    board.set_rules(&rules).unwrap();
     board.home_at_rest().unwrap();
     (shared, board, wired)
 }
 
 /// Runs the polarity check and calls `to_see` after every carrier period.
-fn run_check(
+pub fn run_check(
     shared: &SharedBoard,
     board: &mut Board,
     mut to_see: impl FnMut(&SimulatedBoard),
@@ -229,7 +288,7 @@ pub fn measure_any_check(
     description: &Description,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
-    measure_motion(board_with_error(name, description, Options { substep: 25e-6, ..Options::default() }, error))
+    measure_motion(board_with_error(name, description, Options { substep: 25e-6, ..Options::default() }, true, error))
 }
 
 fn measure_motion(
@@ -249,8 +308,13 @@ fn measure_motion(
 /// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves back and forth along it.
 pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
     let (shared, mut board, wired) = homed_board(file, error);
-    if let Err(record) = run_check(&shared, &mut board, |_| ()) {
-        return Outcome::Refused(record);
+    match error.injection {
+        Injection::DrawnInContact(_) => {}
+        _ => {
+            if let Err(record) = run_check(&shared, &mut board, |_| ()) {
+                return Outcome::Refused(record);
+            }
+        }
     }
     shared.lock().run(0.5);
     let (tip, task) = (shared.lock().device().tip(), file.spec().task);
@@ -280,10 +344,14 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         value: at(-0.022, if nth % 2 == 0 { 8e-3 } else { -8e-3 }),
     }));
     board.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
-    if let Injection::InContact(error) = error.injection {
+    if !matches!(error.injection, Injection::Always(_)) {
         board.run(1.25);
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
-        error(&mut board, &wired);
+    }
+    match error.injection {
+        Injection::Always(_) => {}
+        Injection::InContact(error) => error(&mut board, &wired),
+        Injection::DrawnInContact(seed) => draw_phase_error(&mut board, &wired, seed),
     }
     let start_s = board.time();
     let (mut push, mut harm) = (MotorTipForce::new(&wired, &board), EffectsOnHand::default());

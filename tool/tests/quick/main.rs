@@ -9,6 +9,7 @@ mod any_order;
 mod backup;
 mod bad_files;
 mod board_commands;
+mod brushless;
 mod cogging;
 mod command_line;
 mod devices_with_weight;

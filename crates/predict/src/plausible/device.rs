@@ -9,6 +9,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::motor::Winding;
 use haptic_bridge::model::units::SLIDE_LEVER;
 use haptic_bridge::with_mechanism;
 use haptic_host::device_file::{DeviceFile, includes_body_inertia};
@@ -252,7 +253,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
 /// Warns of a `max_current` that the supply cannot drive through the motor.
 fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     let motor = file.description.joints[index].motor?;
-    let (volts, supply) = (motor.resistance * motor.max_current, PowerStage::default().bus_voltage);
+    let (volts, supply) = (motor.supply_at_rest(motor.max_current), PowerStage::default().bus_voltage);
     let given = with_unit(motor.max_current, "A");
     let text = if let Some((supply, written)) = file.supply.zip(file.max_current_in_file[index]) {
         format!(
@@ -281,7 +282,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     let (torque, units) = (torque_at_rest(&motor, joints), joint.units());
     let (lever, constant) =
         (f64::from(units.lever), if joint.prismatic { "force_constant" } else { "torque_constant" });
-    let volts = motor.resistance * motor.max_current;
+    let volts = motor.supply_at_rest(motor.max_current);
     if volts > LARGEST_SUPPLY_V {
         let text = format!(
             "the motor of joint {index} would need {} for its max_current: resistance is in ohm, current in A",
@@ -289,9 +290,13 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         );
         warning("motor", "max_current", text);
     }
-    if motor.back_emf > 0.0 && !(0.5..2.0).contains(&(motor.back_emf / motor.torque_constant)) {
+    let (emf_share, relation) = match motor.winding {
+        Winding::Brushed => (1.0, "in SI both are the same number"),
+        Winding::ThreePhase { .. } => (1.5, "in SI the back-EMF of a phase is two thirds of the torque constant"),
+    };
+    if motor.back_emf > 0.0 && !(0.5..2.0).contains(&(emf_share * motor.back_emf / motor.torque_constant)) {
         let text = format!(
-            "back_emf of joint {index} is {} {} and {constant} {} {}/A: in SI both are the same number",
+            "back_emf of joint {index} is {} {} and {constant} {} {}/A: {relation}",
             motor.back_emf,
             if joint.prismatic { "V s/m" } else { "V s/rad" },
             motor.torque_constant,
