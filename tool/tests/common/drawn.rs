@@ -4,7 +4,9 @@ use super::forces::pick_one;
 use super::injected::{CheckMotion, measure_any_check, scale_motor_constants};
 use super::shipped_device;
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Cogging, CoggingHarmonic, Description, Stribeck, StructuralMode, Transmission};
+use haptic_bridge::model::description::{
+    Cogging, CoggingHarmonic, Description, Stribeck, StructuralMode, Transmission,
+};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Random};
