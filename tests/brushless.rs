@@ -80,12 +80,12 @@ impl Rig {
             });
             let neutral = legs.iter().sum::<f64>() / 3.0;
             let at = electrical(&self.motor, self.angle + 0.5 * h * self.speed);
-            for i in 0..3 {
+            for (i, (current, leg)) in self.currents.iter_mut().zip(legs).enumerate() {
                 // The field of a phase is the cosine of the rotor's angle from the phase, and its EMF the derivative.
                 let emf = -k * self.speed * (at - TAU / 3.0 * i as f64).sin();
-                let rate = |current: f64| (legs[i] - neutral - emf - r * current) / l;
-                let middle = self.currents[i] + 0.5 * h * rate(self.currents[i]);
-                self.currents[i] += h * rate(middle);
+                let rate = |current: f64| (leg - neutral - emf - r * current) / l;
+                let middle = *current + 0.5 * h * rate(*current);
+                *current += h * rate(middle);
             }
             self.angle += h * self.speed;
         }

@@ -33,6 +33,10 @@ const MAX_PULL_FORCE: f32 = 0.8;
 const GROWTH_SECONDS: f32 = 0.3;
 /// Speed of the joint behind the field, rad/s.
 const FOLLOWING_SPEED: f32 = 0.1;
+/// Largest correction after which no further correction follows, rad. Both swings then drift.
+const MAX_LAST_CORRECTION: f32 = 0.3;
+/// Largest number of corrections.
+const MAX_CORRECTIONS: u8 = 5;
 /// Share of a correction that is applied, because friction lowers the smaller of two cosines more.
 const CORRECTION_SHARE: f32 = 0.7;
 /// Motion of the joint to either side, rad, and the largest such motion, electrical rad.
@@ -110,6 +114,7 @@ pub(super) struct Alignment {
     cosine: f32,
     /// Joint angle at which the last swing took place, rad.
     place: f32,
+    corrections: u8,
     /// Smallest torque that moved the joint in a swing, N m.
     breakaway_torque: Option<f32>,
     /// Torque that pulls the rotor towards the field, N m.
@@ -192,10 +197,17 @@ where
                 Part::Behind
             }
             Part::Behind => Part::Before,
-            _ => Part::Pull,
+            _ => {
+                // cos(δ + π/4) behind and cos(δ - π/4) before: their difference over their sum is tan δ.
+                let correction = CORRECTION_SHARE * libm::atan2f(cosine - before, cosine + before);
+                alignment.first += correction;
+                alignment.corrections += 1;
+                let again = correction.abs() > MAX_LAST_CORRECTION && alignment.corrections < MAX_CORRECTIONS;
+                if again { Part::Behind } else { Part::Pull }
+            }
         };
         let Some(breakaway) = alignment.breakaway_torque else {
-            if alignment.part == Part::Behind {
+            if alignment.part == Part::Behind && alignment.corrections == 0 {
                 self.trip(Fault::PolarityNoMotion, axis, 0.0);
             } else {
                 self.begin_aligning_swing();
@@ -206,8 +218,6 @@ where
             self.begin_aligning_swing();
             return;
         }
-        // cos(δ + π/4) behind and cos(δ - π/4) before: their difference over their sum is tan δ.
-        alignment.first += CORRECTION_SHARE * libm::atan2f(cosine - before, cosine + before);
         if place > from {
             alignment.first += PI;
         }
@@ -271,8 +281,8 @@ where
         let stage = &mut self.joints[i].stage;
         let (file, pole_pairs) = (stage.electrical_ratio(), stage.pole_pairs());
         let found = ratio.abs() * pole_pairs / file;
-        // Written so that NaN is an error.
-        if !((found - pole_pairs).abs() <= MAX_POLE_PAIR_ERROR) {
+        let error = (found - pole_pairs).abs();
+        if error > MAX_POLE_PAIR_ERROR || error.is_nan() {
             return self.trip(Fault::PolePairs, Some(i as u8), found);
         }
         let ratio = if ratio < 0.0 { -file } else { file };

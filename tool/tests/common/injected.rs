@@ -148,8 +148,7 @@ fn slip(board: &mut SimulatedBoard, angle: f64) {
 }
 
 fn add_pole_pairs(wired: &mut Description, more: u8) {
-    if let Some(Winding::ThreePhase { pole_pairs, .. }) =
-        wired.joints[0].motor.as_mut().map(|motor| &mut motor.winding)
+    if let Some(Winding::ThreePhase { pole_pairs, .. }) = wired.joints[0].motor.as_mut().map(|motor| &mut motor.winding)
     {
         *pole_pairs += more;
     }
