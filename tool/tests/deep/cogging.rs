@@ -14,7 +14,8 @@ fn removed_share(seed: u64) -> (f64, String) {
     let (before, after) = paddle.ripple(&learnt.potential);
     let orders: Vec<_> = learnt.potential.iter().map(|harmonic| harmonic.order.to_string()).collect();
     let (arc, friction) = (paddle.arc(), 1e3 * paddle.wired.joints[0].coulomb);
-    let [before_mnm, after_mnm, told_mnm] = [before, after, learnt.held_out.hypot(learnt.after)].map(|torque| 1e3 * torque);
+    let [before_mnm, after_mnm, told_mnm] =
+        [before, after, learnt.held_out.hypot(learnt.after)].map(|torque| 1e3 * torque);
     let removed = 1.0 - after / before;
     let row = format!(
         "{seed} | {arc:.2} | {friction:.2} | {before_mnm:.2} | {after_mnm:.3} | {told_mnm:.3} | {:.0} | {}",
@@ -37,7 +38,8 @@ fn most_of_the_ripple_of_50_motors_is_removed() {
     removed.sort_by(f64::total_cmp);
     let (mean, median) = (removed.iter().sum::<f64>() / MOTORS as f64, removed[removed.len() / 2]);
     println!("removed: {mean:.3} on average, {median:.3} median, {:.3} least", removed[0]);
-    let header = "seed | arc, rad | friction, mN m | ripple, mN m rms | after, mN m rms | told, mN m rms | removed, % | orders";
+    let header =
+        "seed | arc, rad | friction, mN m | ripple, mN m rms | after, mN m rms | told, mN m rms | removed, % | orders";
     let made = csv(std::iter::once(header.into()).chain(rows));
     assert!(mean >= 0.85 && median >= 0.85 && removed[0] > 0.0, "{mean}, {median}\n{made}");
     assert_eq!(document("docs/results/cogging.csv", &made), made, "run UPDATE_DOCS=1 cargo xtask test --deep cogging");
