@@ -3,7 +3,8 @@
 use crate::common::cogged::CoggedPaddle;
 use crate::common::run;
 use haptic_bridge::model::cogging::Compensation;
-use haptic_predict::cogging::{CoggingError, Motion, Pass, Sample, fit};
+use haptic_predict::cogging::{CoggingError, Learnt, Motion, Pass, Sample, fit};
+use haptic_sim::Random;
 
 #[test]
 fn a_motors_cogging_is_learnt_and_compensated() {
@@ -25,13 +26,14 @@ fn a_motors_cogging_is_learnt_and_compensated() {
     assert!((torque - expected).abs() < 0.02 * before as f32, "{torque} N m, not {expected} N m");
 }
 
-/// Returns slow passes whose torque is `torque` of angle and direction.
+/// Returns slow passes whose torque is `torque` of angle and direction, with noise.
 fn passes(torque: impl Fn(f64, f64) -> f64) -> Vec<Pass> {
-    let pass = |forward: bool| {
+    let mut draw = Random::new(1);
+    let mut pass = |forward: bool| {
         let direction = if forward { 1.0 } else { -1.0 };
         let sample = |i: u32| {
             let (time, q) = (1e-3 * f64::from(i), direction * (0.25e-3 * f64::from(i) - 0.75));
-            Sample { time, q, torque: torque(q, direction) }
+            Sample { time, q, torque: torque(q, direction) + draw.between(-2e-4, 2e-4) }
         };
         Pass { forward, samples: (0..6_000).map(sample).collect() }
     };
@@ -40,16 +42,20 @@ fn passes(torque: impl Fn(f64, f64) -> f64) -> Vec<Pass> {
 
 #[test]
 fn friction_that_depends_on_the_angle_and_a_load_are_not_learnt() {
-    let motion = Motion { inertia: 1e-4, viscous: 0.0, speed: 0.25, count: 4e-4, ratio: 1.0 };
-    let noise = |q: f64| 1e-4 * (1e5 * q).sin();
-    let friction = |q: f64, direction: f64| direction * 0.01 * (2.0 + (84.0 * q).sin()) + noise(q);
+    let motion = Motion { inertia: 0.0, viscous: 0.0, speed: 0.25, count: 4e-4, ratio: 1.0 };
+    let friction = |q: f64, direction: f64| direction * 0.01 * (2.0 + (84.0 * q).sin());
     let load = |q: f64| 0.05 * q.sin() + 0.02 * (q - 0.3).powi(2);
-    let found = fit(&passes(|q, direction| friction(q, direction) + load(q)), &motion);
-    assert!(matches!(found, Err(CoggingError::Nothing { before, .. }) if before < 5e-4), "{found:?}");
+    let before = match fit(&passes(|q, direction| friction(q, direction) + load(q)), &motion) {
+        Ok(Learnt { before, .. }) | Err(CoggingError::Nothing { before, .. }) => before,
+        Err(error) => panic!("{error}"),
+    };
+    assert!(before < 1e-4, "{before} N m of friction or load");
     let magnets = |q: f64| 2e-3 * (84.0 * q + 1.0).sin();
     let learnt = fit(&passes(|q, direction| magnets(q) + friction(q, direction) + load(q)), &motion).unwrap();
     assert_eq!(learnt.potential[0].order, 84);
     assert!(learnt.after < 0.1 * learnt.before && (learnt.friction / 0.02 - 1.0).abs() < 0.05, "{learnt:?}");
+    let noise = fit(&passes(|_, direction| 0.02 * direction), &motion);
+    assert!(matches!(noise, Err(CoggingError::Nothing { .. })), "{noise:?}");
 }
 
 #[test]
