@@ -609,7 +609,11 @@ fn motor_of(table: &Table<'_>, prismatic: bool) -> Motor<f64> {
             true => table.required_number("inductance", Must::BePositive, "inductance = 0.001"),
             false => table.number_or("inductance", Must::NotBeNegative, 0.0),
         },
-        back_emf: table.number_or("back_emf", Must::NotBeNegative, back_emf),
+        back_emf: table.number_or(
+            "back_emf",
+            if is_brushless { Must::BePositive } else { Must::NotBeNegative },
+            back_emf,
+        ),
         max_current: table.required_number("max_current", Must::BePositive, "max_current = 3.0"),
         verified: table.flag_or("verified", false),
     }
@@ -622,7 +626,8 @@ fn three_phase(table: &Table<'_>, prismatic: bool) -> Winding<f64> {
         false => table.number_or("ratio", Must::BePositive, 1.0),
     };
     let pole_pairs = table.required_number("pole_pairs", Must::BePositive, "pole_pairs = 7");
-    let is_count = pole_pairs.fract() == 0.0 && pole_pairs <= f64::from(u8::MAX);
+    // A missing number is already an error.
+    let is_count = pole_pairs.is_nan() || pole_pairs.fract() == 0.0 && pole_pairs <= f64::from(u8::MAX);
     let remedy = "write the number of magnets of the rotor, divided by two";
     let reason = format!("pole_pairs is {pole_pairs}, not a whole number from 1 to {}", u8::MAX);
     let checked = if is_count { Ok(()) } else { Err(table.error_at("pole_pairs", impossible(reason, remedy))) };

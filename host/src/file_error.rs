@@ -196,7 +196,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["pole_pairs", "poles", "phases", "commutation", "hall"],
         "",
-        "boards drive brushed motors only; a brushless motor cannot be described yet (docs/devices.md)",
+        "a three-phase motor has kind = \"brushless\" and pole_pairs, half the number of its magnets (docs/devices.md)",
     ),
     (
         &["lines", "ppr", "pulses_per_turn"],

@@ -425,7 +425,9 @@ fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
         let motor = joint.motor.is_none_or(|motor| {
             let signed = motor.torque_constant.is_finite() && motor.back_emf.is_finite();
             let positive = [motor.resistance, motor.inductance, motor.max_current];
-            signed && positive.iter().all(|value| value.is_finite() && *value >= 0.0)
+            // The winding of a brushed motor has no ratio.
+            let ratio = motor.electrical_ratio().is_none_or(|ratio| ratio.is_finite() && ratio > 0.0);
+            signed && ratio && positive.iter().all(|value| value.is_finite() && *value >= 0.0)
         });
         joint.offset.is_finite() && joint.viscous.is_finite() && joint.counts_per_turn >= 0 && limits && motor
     });

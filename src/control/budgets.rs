@@ -175,8 +175,12 @@ where
 
     /// Averages the sensors' readings while the bridges are off.
     fn average_readings(&mut self, seen: &Samples, sensed: bool) {
-        for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
-            let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
+        let readings = seen.currents.iter().zip(seen.imbalance.iter());
+        for ((joint, (current, direct)), mean) in self.joints.iter().zip(readings).zip(self.flow.torque.iter_mut()) {
+            // Any component of a three-phase motor's current makes torque at some angle of the rotor.
+            let three_phase = joint.stage.is_three_phase();
+            let current = if three_phase { sqrt(current * current + direct * direct) } else { *current };
+            let shown = if sensed { joint.stage.torque_of(current) } else { 0.0 };
             *mean += self.flow.sample_weight * (shown - *mean);
         }
     }

@@ -397,9 +397,12 @@ where
     /// with the board's readings, before every other use of the samples.
     #[inline(always)]
     pub fn read_phases(&mut self, seen: &mut Samples) {
-        for (i, joint) in self.joints.iter_mut().enumerate().filter(|(_, joint)| joint.stage.is_three_phase()) {
-            (seen.currents[i], seen.imbalance[i]) =
-                joint.stage.read(seen.currents[i], seen.imbalance[i], seen.counts[i]);
+        let Samples { counts, currents, imbalance, .. } = seen;
+        let readings = currents.iter_mut().zip(imbalance.iter_mut()).zip(counts.iter());
+        for (joint, ((current, imbalance), count)) in self.joints.iter_mut().zip(readings) {
+            if joint.stage.is_three_phase() {
+                (*current, *imbalance) = joint.stage.read(*current, *imbalance, *count);
+            }
         }
     }
 

@@ -24,7 +24,7 @@ use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
-use alignment::Alignment;
+use alignment::{Alignment, MAX_SWING_ELECTRICAL};
 use core::ops::DerefMut;
 use stops::Push;
 use swing::{Results, Swing, effective_inertia, swing_angle};
@@ -279,7 +279,7 @@ where
 
     /// Records that the polarity is known, for the present home if the joint angles are known.
     pub(super) fn record_known_polarity(&mut self) {
-        self.polarity_known = true;
+        self.polarity_known = self.joints.iter().all(|joint| joint.stage.is_aligned());
         if let Some(program) = self.program.as_ref().filter(|_| self.placed) {
             self.checked_zero = program.controller.zero();
         }
@@ -292,7 +292,10 @@ where
         let zero = program.controller.zero();
         self.polarity_known &= program.radians_per_count.iter().enumerate().take(program.joints).all(|(i, radians)| {
             let off = zero[i].wrapping_sub(self.checked_zero[i]) as f32 * radians;
-            off.abs() <= swing_angle(*radians, program.lever[i])
+            let most = swing_angle(*radians, program.lever[i]);
+            // A lost count also turns the frame of a three-phase motor.
+            let stage = self.joints.get(i).map(|joint| &joint.stage).filter(|stage| stage.is_three_phase());
+            off.abs() <= stage.map_or(most, |stage| most.lesser(MAX_SWING_ELECTRICAL / stage.electrical_ratio()))
         });
     }
 

@@ -124,9 +124,13 @@ impl ThreePhase {
         self.angle_per_count != 0
     }
 
-    /// Returns true if the motor may receive current.
-    pub(super) fn is_ready(&self) -> bool {
+    /// Returns true if the frame may carry current.
+    pub(super) fn has_frame(&self) -> bool {
         self.is_usable() && self.frame != Frame::Unknown
+    }
+
+    pub(super) fn is_aligned(&self) -> bool {
+        self.is_usable() && matches!(self.frame, Frame::Rotor(_))
     }
 
     /// Sets the frame of both loops.

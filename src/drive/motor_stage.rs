@@ -93,6 +93,10 @@ impl Stage for MotorStage {
         self.three_phase.is_some()
     }
 
+    fn is_aligned(&self) -> bool {
+        self.three_phase.is_none_or(|three_phase| three_phase.is_aligned())
+    }
+
     fn read(&mut self, current: f32, imbalance: f32, count: i32) -> (f32, f32) {
         match &mut self.three_phase {
             None => (current, imbalance),
@@ -140,13 +144,16 @@ impl Stage for MotorStage {
 
     fn drive(&mut self, supply: &Supply, sample: f32, speed: f32, late: bool) -> MotorDrive {
         match &mut self.three_phase {
-            Some(three_phase) if supply.is_usable() && three_phase.is_ready() => {
+            Some(three_phase) if supply.is_usable() => {
+                if !three_phase.has_frame() {
+                    self.axis.command(0.0);
+                }
                 let (legs, share) = three_phase.drive(&mut self.axis, supply, sample, speed, late);
                 MotorDrive::ThreePhase { legs, share }
             }
             Some(three_phase) => {
-                self.axis.rest();
                 three_phase.rest();
+                self.axis.rest();
                 MotorDrive::ThreePhase { legs: [0.5; 3], share: 0.0 }
             }
             None => MotorDrive::Bridge(self.axis.drive(supply, sample, speed, late)),

@@ -112,6 +112,11 @@ pub trait Stage: Copy + Debug + Default {
         1.0
     }
 
+    /// Returns true for a brushed motor, and for a three-phase motor whose frame turns with its rotor.
+    fn is_aligned(&self) -> bool {
+        true
+    }
+
     /// Sets the frame in which a three-phase motor receives its current.
     fn set_frame(&mut self, _frame: Frame) {}
 

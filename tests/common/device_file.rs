@@ -118,20 +118,25 @@ fn encoder(table: &Table) -> Encoder {
 }
 
 fn motor(table: &Table) -> Motor<f64> {
+    let is_brushless = table.get("kind").is_some_and(|kind| kind.as_str() == Some("brushless"));
     let keys = ["torque_constant", "force_constant"];
     let torque_constant = keys.iter().find_map(|key| number(table, key)).expect("a torque constant");
-    assert_known_keys(
-        table,
-        &["torque_constant", "force_constant", "resistance", "inductance", "back_emf", "max_current", "verified"],
-    );
+    let known = ["kind", "resistance", "inductance", "back_emf", "max_current", "verified", "pole_pairs", "ratio"];
+    assert_known_keys(table, &[&keys[..], &known].concat());
     let [resistance, max_current] = ["resistance", "max_current"].map(|key| number(table, key).expect(key));
     Motor {
         torque_constant,
         resistance,
         inductance: number(table, "inductance").unwrap_or(0.0),
-        back_emf: number(table, "back_emf").unwrap_or(torque_constant),
+        back_emf: number(table, "back_emf").unwrap_or(torque_constant / if is_brushless { 1.5 } else { 1.0 }),
         max_current,
-        winding: Winding::Brushed,
+        winding: match is_brushless {
+            false => Winding::Brushed,
+            true => Winding::ThreePhase {
+                pole_pairs: number(table, "pole_pairs").expect("pole pairs") as u8,
+                ratio: number(table, "ratio").unwrap_or(1.0),
+            },
+        },
         verified: table.get("verified").is_some_and(|flag| flag.as_bool().expect("a flag")),
     }
 }

@@ -221,7 +221,7 @@ const PADDLE_JOINT: (f64, [f64; 2], &str) =
     (8.0e-4, [-0.6, 0.6], "the whole paddle about its pivot, and the rotor times the ratio squared");
 
 /// Motors and encoders that the boards support, as a sentence without full stop.
-pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
+pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors (odrive-v3 also brushless ones) and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
 /// Returns a device file of this mechanism that passes every check except the confirmation of its motors.
@@ -315,6 +315,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line("offset", "0.0".into(), note("rad, the angle at count 0; homing overrules it; default 0"));
         line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
         line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
+        if first {
+            line("# kind", "\"brushless\"".into(), "with pole_pairs = 11: all figures of a phase (docs/devices.md)");
+        }
         line("resistance", "2.0".into(), note("ohm, between the terminals"));
         line("inductance", "0.001".into(), note("H; default 0: unknown, and no real board arms"));
         line("back_emf", "0.2".into(), note("V s/rad at the joint; default torque_constant, the same in SI"));

@@ -46,6 +46,12 @@ impl BrushlessModel {
 
     /// Breaks a phase.
     pub fn break_phase(&mut self, broken: BrokenPhase) {
+        if let BrokenPhase::Open(phase) = broken {
+            // The other two phases carry the same current from here on.
+            let half = 0.5 * self.currents[phase];
+            self.currents = self.currents.map(|current| current + half);
+            self.currents[phase] = 0.0;
+        }
         self.broken = Some(broken);
     }
 
@@ -87,6 +93,8 @@ impl BrushlessModel {
                 let fall = bridge.bus_voltage / (1.5 * inductance) * h;
                 let before = self.currents;
                 self.currents = before.map(|current| current.signum() * (current.abs() - fall).max(0.0));
+                let mean = self.currents.iter().sum::<f64>() / 3.0;
+                self.currents = self.currents.map(|current| current - mean);
                 return self.torque(&fields, core::array::from_fn(|i| 0.5 * (before[i] + self.currents[i])));
             }
             MotorInput::Duty(duty) => [0.5 + 0.5 * duty, 0.5 - 0.5 * duty, 0.5],

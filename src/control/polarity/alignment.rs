@@ -16,7 +16,7 @@ use crate::control::ControlLoop;
 use crate::control::joints::Torques;
 use crate::control::program::Program;
 use crate::drive::stage::{Frame, Stage};
-use crate::math::{BinaryAngle, Math, Real};
+use crate::math::{BinaryAngle, Math, Real, sqrt};
 use crate::safety::fault::Fault;
 use core::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 use core::ops::DerefMut;
@@ -33,6 +33,8 @@ const MAX_PULL_FORCE: f32 = 0.8;
 const GROWTH_SECONDS: f32 = 0.3;
 /// Speed of the joint behind the field, rad/s.
 const FOLLOWING_SPEED: f32 = 0.1;
+/// Accepted ratio (lowest, highest) of the torque that acted to the file's torque. Friction and the drift lower it.
+const ACCEPTED_TORQUE_RATIO: (f32, f32) = (0.3, 1.6);
 /// Largest correction after which no further correction follows, rad. Both swings then drift.
 const MAX_LAST_CORRECTION: f32 = 0.3;
 /// Largest number of corrections.
@@ -63,8 +65,8 @@ enum Part {
     Quarter,
     /// Swings in the frame an eighth of a turn behind the rough angle.
     Behind,
-    /// Swings in the frame an eighth of a turn ahead of the rough angle.
-    Before,
+    /// Swings in the frame an eighth of a turn in front of the rough angle.
+    InFront,
     /// The torque towards the field grows.
     Pull,
     /// The field turns ahead.
@@ -73,6 +75,8 @@ enum Part {
     Back,
     /// The field turns ahead to its first angle.
     Return,
+    /// The torque towards the field fades, because the motor's frame changes at the end.
+    Fade,
 }
 
 /// Sums for the straight line through points (joint angle, angle of the field), rad.
@@ -125,7 +129,7 @@ pub(super) struct Alignment {
     field: f32,
     /// Joint angle from the initial angle at which the present direction began, rad.
     turned_at: f32,
-    /// Time since the torque began to grow, s.
+    /// Time in the present part, s.
     seconds: f32,
     ahead: Line,
     back: Line,
@@ -141,7 +145,7 @@ impl Alignment {
 
     /// Returns true while the rotor follows the field.
     pub(super) fn follows(&self) -> bool {
-        !self.done && matches!(self.part, Part::Pull | Part::Ahead | Part::Back | Part::Return)
+        !self.done && matches!(self.part, Part::Pull | Part::Ahead | Part::Back | Part::Return | Part::Fade)
     }
 
     /// Returns the pole pairs of a rotor that followed the field to this distance from its initial angle, rad.
@@ -172,7 +176,7 @@ where
         let angle = match part {
             Part::Zero => 0.0,
             Part::Behind => first - FRAC_PI_4,
-            Part::Before => first + FRAC_PI_4,
+            Part::InFront => first + FRAC_PI_4,
             _ => FRAC_PI_2,
         };
         self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
@@ -186,20 +190,21 @@ where
         let axis = Some(self.axis() as u8);
         (self.polarity.swing, self.polarity.part) = (None, 0);
         let alignment = &mut self.polarity.alignment;
-        let (before, from) = (alignment.cosine, alignment.place);
+        let (last, from) = (alignment.cosine, alignment.place);
         (alignment.cosine, alignment.place) = (cosine, place);
         let known = alignment.breakaway_torque.unwrap_or(f32::MAX);
         alignment.breakaway_torque = breakaway.map(|torque| torque.lesser(known)).or(alignment.breakaway_torque);
         alignment.part = match alignment.part {
             Part::Zero => Part::Quarter,
             Part::Quarter => {
-                alignment.first = libm::atan2f(cosine, before);
+                alignment.first = libm::atan2f(cosine, last);
                 Part::Behind
             }
-            Part::Behind => Part::Before,
+            Part::Behind => Part::InFront,
             _ => {
-                // cos(δ + π/4) behind and cos(δ - π/4) before: their difference over their sum is tan δ.
-                let correction = CORRECTION_SHARE * libm::atan2f(cosine - before, cosine + before);
+                // cos(δ + π/4) behind and cos(δ - π/4) in front: their difference over their sum is tan δ, and the sum of
+                // their squares is 1.
+                let correction = CORRECTION_SHARE * libm::atan2f(cosine - last, cosine + last);
                 alignment.first += correction;
                 alignment.corrections += 1;
                 let again = correction.abs() > MAX_LAST_CORRECTION && alignment.corrections < MAX_CORRECTIONS;
@@ -218,6 +223,11 @@ where
             self.begin_aligning_swing();
             return;
         }
+        let ratio = sqrt(cosine * cosine + last * last);
+        if !(ACCEPTED_TORQUE_RATIO.0..=ACCEPTED_TORQUE_RATIO.1).contains(&ratio) {
+            return self.trip(Fault::TorqueMismatch, axis, ratio);
+        }
+        let alignment = &mut self.polarity.alignment;
         if place > from {
             alignment.first += PI;
         }
@@ -252,17 +262,23 @@ where
         let next = match alignment.part {
             Part::Ahead => (field >= end || is_far).then_some(Part::Back),
             Part::Back => (field <= -end || is_far).then_some(Part::Return),
-            Part::Return if field >= 0.0 => {
+            Part::Return => (field >= 0.0).then_some(Part::Fade),
+            Part::Fade if growth >= 1.0 => {
                 self.finish_alignment(moved);
                 return Torques::default();
             }
-            Part::Return => None,
+            Part::Fade => None,
             _ => (growth >= 1.0).then_some(Part::Ahead),
         };
         if let Some(part) = next {
-            (alignment.part, alignment.turned_at) = (part, moved);
+            (alignment.part, alignment.turned_at, alignment.seconds) = (part, moved, 0.0);
         }
-        let torque = growth * alignment.torque;
+        let share = match alignment.part {
+            Part::Ahead | Part::Back | Part::Return => 1.0,
+            Part::Fade => 1.0 - growth,
+            _ => growth,
+        };
+        let torque = share * alignment.torque;
         let angle = alignment.first + alignment.field - FRAC_PI_2;
         self.joints[i].stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(angle.into())));
         self.torques_within_tip_force(torque)

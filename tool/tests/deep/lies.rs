@@ -104,4 +104,5 @@ fn a_broken_three_phase_motor_pushes_at_most_half_harder_than_its_limit() {
     }
     println!("most: {most:.2} N; motors off in {detected} of {count}, in the others at most {fastest:.1} rad/s");
     assert!(beyond.is_empty(), "{}", beyond.join("\n"));
+    assert!(fastest < 12.0, "{fastest} rad/s");
 }

@@ -257,7 +257,7 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (joint, "gear = 5", "rotor's inertia by its square"),
         (motor, "kv = 270", "torque_constant = 9.549 / kv"),
         (motor, "phase_resistance = 0.04", "write resistance"),
-        (motor, "pole_pairs = 7", "brushed motors only"),
+        (motor, "pole_pairs = 7", "has kind = \"brushless\" and pole_pairs"),
         (encoder, "lines = 1024", "counts_per_turn = 4 x lines x gear ratio"),
         (encoder, "cpr = 4096", "counts_per_turn = the edges of A and B"),
         (encoder, "type = \"AS5047\"", "incremental encoders with A and B only"),
