@@ -21,6 +21,7 @@
 
 pub mod absolute;
 mod budgets;
+mod cogging;
 pub mod compiled;
 mod crest;
 mod fade;
@@ -75,6 +76,8 @@ pub struct ControlLoop<P, S = MotorStage> {
     one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
+    /// True if torques of a host or of the compensation of cogging are added to the scene's.
+    adds_torques: bool,
     /// True if the joint angles are known well enough for a polarity check. Equals `homed` unless homed by stops.
     placed: bool,
     /// Zero if the scene is `in_force` and the last step limited no torque; otherwise negative.
@@ -109,6 +112,7 @@ pub struct ControlLoop<P, S = MotorStage> {
     /// True if telemetry includes the walls' energy.
     shows_energy: bool,
     host: host_force::HostForce,
+    cogging: cogging::CoggingCompensation,
     /// Torques of the previous scene, which fade out.
     fade: fade::Fade,
     /// Torques of the last step that commanded less than was requested.
@@ -155,6 +159,7 @@ where
             compensates_weight: false,
             one_pass_joints: 0,
             in_force: false,
+            adds_torques: false,
             steady: -1,
             marks: None,
             polarity: polarity::PolarityCheck::default(),
@@ -183,6 +188,7 @@ where
             swept: None,
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
+            cogging: cogging::CoggingCompensation::default(),
             next_joint: 0,
             unsettled_joints: 0,
             heat: [Heat::default(); MAX_JOINTS],
@@ -225,14 +231,14 @@ where
     /// Computes the scene's joint torques from encoder counts. Does not change the motors' torques or limits.
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
-        if self.host.acts {
-            self.render_with_push(counts);
+        if self.adds_torques {
+            self.render_with_added_torques(counts);
         } else {
             self.render_scene(counts);
         }
     }
 
-    /// Renders the scene without the host's push.
+    /// Renders the scene without added torques.
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {

@@ -41,6 +41,7 @@ pub mod math;
 pub mod model {
     pub mod admissible;
     pub mod catalogue;
+    pub mod cogging;
     pub mod description;
     pub mod device;
     pub mod inertia;

@@ -7,6 +7,7 @@ mod rig;
 mod adding;
 mod attacks;
 mod brushless;
+mod cogging;
 mod control_loop;
 mod counted_devices;
 mod crest_limits;

@@ -12,6 +12,7 @@ use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::program::Program;
 use haptic_bridge::control::{Command, Rules};
+use haptic_bridge::model::cogging::{Harmonic, Potentials};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::units::JointUnits;
 use haptic_bridge::render::controller::Gains;
@@ -83,6 +84,13 @@ fn rules_with_share(share: f32) -> Rules {
 fn gains(wall: u8, stiffness: f32) -> GainsRequest {
     let gains = Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
     GainsRequest { wall: Some(gains), estimator: None }
+}
+
+/// Returns a potential of motor 0 with this amplitude, J.
+fn cogging(energy: f32) -> Potentials {
+    let mut potentials = Potentials::default();
+    potentials.0[0].push(Harmonic { order: 84, energy, phase: 0.0 }).unwrap();
+    potentials
 }
 
 type Sender = fn(&mut Board) -> Result<(), Refusal>;
@@ -159,6 +167,12 @@ fn request_cases() -> Vec<RequestCase> {
             [Err(NoDevice), ok, ok, Err(On), Err(On), ok],
         ),
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
+        ("cogging", ask!(SetCogging, cogging(1.0e-4)), [Err(NoDevice), ok, ok, Err(On), Err(On), ok]),
+        (
+            "cogging of more than the motor's torque",
+            ask!(SetCogging, cogging(1.0)),
+            [NoDevice, Refusal::BadCogging(0), Refusal::BadCogging(0), On, On, Refusal::BadCogging(0)].map(Err),
+        ),
         ("unchanged rules", ask!(SetRules, rules_with_share(1.0)), always),
         ("lower limits", ask!(SetRules, rules_with_share(0.5)), always),
         ("limits above the board's", ask!(SetRules, rules_with_share(1.01)), [Err(too_high_refusal(1.01)); 6]),
@@ -225,6 +239,7 @@ fn reading_requests_change_no_state() {
         board.ask::<GetInfo>(&()).unwrap();
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
+        board.ask::<GetCogging>(&()).unwrap();
         board.ask::<Heartbeat>(&Beat::Here).unwrap();
         // A request without a force and without a lease only reads.
         board.ask::<Force>(&ForceRequest::default()).unwrap();
@@ -264,8 +279,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_tests_of_requests_cover_every_endpoint() {
-    // The two tests above cover 18 endpoints that change something and 10 that only read.
-    assert_eq!(own_endpoints().count(), 28, "an endpoint was added: add it to the tests of this file");
+    // The two tests above cover 19 endpoints that change something and 11 that only read.
+    assert_eq!(own_endpoints().count(), 30, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
@@ -441,7 +456,7 @@ fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
     assert_eq!(board.state(), State::Disarmed);
     assert_eq!(configuration(&mut board), before);
     assert_eq!(board.ask::<GetDetails>(&()).unwrap().name.as_str(), "left hand");
-    assert_eq!(settings::decode::<BoardName>(before.3[4].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
+    assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
 /// Returns a paddle without back-EMF, because the test board lets the commanded currents flow at any speed.

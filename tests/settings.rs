@@ -4,6 +4,7 @@ use crate::rig;
 use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
 use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::cogging::{Harmonic, Potentials};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Posture, Scene, Sphere, Spring, Surface, VelocityTerms};
@@ -57,6 +58,12 @@ fn stored_device() -> Device<f32> {
     Device { home, ..rig::device(&Description { home: None, ..five_bar }) }
 }
 
+/// Returns the largest potentials.
+fn potentials() -> Potentials {
+    let harmonic = |order: u16| Harmonic { order, energy: 0.125 / f32::from(order), phase: -1.5 };
+    Potentials([12, 24, 84].map(|order| (1..=8).map(|i| harmonic(i * order)).collect()))
+}
+
 /// Returns one encoded value of every setting, with the setting's key.
 fn specimens() -> Vec<(Key, Vec<u8>)> {
     fn entry<S: Setting>(value: &S) -> (Key, Vec<u8>) {
@@ -66,6 +73,7 @@ fn specimens() -> Vec<(Key, Vec<u8>)> {
         entry(&stored_device()),
         entry(&full_scene()),
         entry(&full_rules()),
+        entry(&potentials()),
         entry(&Polarity(0xC0FF_EE01)),
         entry(&BoardName("bench left".try_into().unwrap())),
     ]
@@ -82,6 +90,7 @@ fn every_setting_decodes_to_the_encoded_value() {
     assert_round_trip(&rig::device(&rig::sensing_paddle()));
     assert_round_trip(&full_scene());
     assert_round_trip(&full_rules());
+    assert_round_trip(&potentials());
     assert_round_trip(&Polarity(7));
     assert_round_trip(&BoardName::default());
 }
@@ -97,6 +106,7 @@ fn decode_entry(key: Key, entry: &[u8]) -> Result<(), Damage> {
         Key::Device => decode::<Device<f32>>(entry).map(drop),
         Key::Scene => decode::<Scene<f32>>(entry).map(drop),
         Key::Rules => decode::<Rules>(entry).map(drop),
+        Key::Cogging => decode::<Potentials>(entry).map(drop),
         Key::Polarity => decode::<Polarity>(entry).map(drop),
         Key::Name => decode::<BoardName>(entry).map(drop),
     }

@@ -9,6 +9,7 @@ use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::cogging::{Harmonic, Potentials};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::Deframer;
 use postcard_rpc::Endpoint;
@@ -218,6 +219,15 @@ fn device(which: u8) -> DeviceData {
     shipped_devices()[usize::from(which) % shipped_devices().len()].device.clone()
 }
 
+/// Returns a potential of the first motor, which is too strong for most devices if `which` is odd.
+fn potentials(which: u8) -> Potentials {
+    let energy = if which & 1 == 0 { 1e-6 } else { 1.0 };
+    let harmonic = Harmonic { order: u16::from(which), energy, phase: f32::from(which) };
+    let mut potentials = Potentials::default();
+    let _ = potentials.0[0].push(harmonic);
+    potentials
+}
+
 fn press(which: u8) -> Press {
     Press { holder: u32::from(which & 4), seen: u32::from(which) }
 }
@@ -238,6 +248,7 @@ pub const TEMPLATES: &[Template] = &[
     (GetDevice::REQ_KEY, empty_body),
     (GetScene::REQ_KEY, empty_body),
     (GetRules::REQ_KEY, empty_body),
+    (GetCogging::REQ_KEY, empty_body),
     (GetFaults::REQ_KEY, empty_body),
     (SetDevice::REQ_KEY, |which| bytes_of(&device(which))),
     (SetScene::REQ_KEY, |which| {
@@ -283,6 +294,7 @@ pub const TEMPLATES: &[Template] = &[
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
     (ArmHeld::REQ_KEY, |which| bytes_of(&press(which))),
+    (SetCogging::REQ_KEY, |which| bytes_of(&potentials(which))),
     (FindStops::REQ_KEY, |which| bytes_of(&press(which))),
     (Heartbeat::REQ_KEY, |which| {
         let held = Beat::Held(press(which));
@@ -295,6 +307,7 @@ pub const TEMPLATES: &[Template] = &[
             Key::Device => encode(&device(which)),
             Key::Scene => encode(&scene(which)),
             Key::Rules => encode(&Rules::default()),
+            Key::Cogging => encode(&potentials(which)),
             Key::Polarity => encode(&Polarity(u32::from(which))),
             Key::Name => encode(&BoardName("bench".chars().collect())),
         };

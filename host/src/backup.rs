@@ -9,6 +9,7 @@ use crate::link::{Board, BoardError};
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::control::Rules;
+use haptic_bridge::model::cogging::Potentials;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -100,7 +101,8 @@ pub struct PreparedSetting {
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
-const RESTORE_ORDER: [Key; Key::ALL.len()] = [Key::Rules, Key::Device, Key::Scene, Key::Name, Key::Polarity];
+const RESTORE_ORDER: [Key; Key::ALL.len()] =
+    [Key::Rules, Key::Device, Key::Cogging, Key::Scene, Key::Name, Key::Polarity];
 
 /// A setting of earlier firmware, the source of the mass matrix. It is not restored, because this firmware always
 /// computes the exact one.
@@ -194,6 +196,10 @@ pub fn unsaved_settings(board: &mut Board) -> Result<Vec<&'static str>, BoardErr
     if board.read_entry(Key::Rules)?.is_some_and(|entry| !entry.is_empty()) && differs(board, &rules)? {
         unsaved.push("rules");
     }
+    let cogging = board.cogging()?;
+    if !cogging.is_empty() && differs(board, &cogging)? {
+        unsaved.push("cogging");
+    }
     let name = BoardName(board.details()?.name);
     if !name.0.is_empty() && differs(board, &name)? {
         unsaved.push("name");
@@ -219,6 +225,7 @@ fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
         Key::Device => value::<Device<f32>>(entry),
         Key::Scene => value::<Scene<f32>>(entry),
         Key::Rules => value::<Rules>(entry),
+        Key::Cogging => value::<Potentials>(entry),
         Key::Polarity => value::<Polarity>(entry),
         Key::Name => value::<BoardName>(entry),
     };
@@ -231,6 +238,7 @@ fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, RestoreMethod)
         Key::Device => usable_entry_as::<Device<f32>>(saved),
         Key::Scene => usable_entry_as::<Scene<f32>>(saved),
         Key::Rules => usable_entry_as::<Rules>(saved),
+        Key::Cogging => usable_entry_as::<Potentials>(saved),
         Key::Polarity => usable_entry_as::<Polarity>(saved),
         Key::Name => usable_entry_as::<BoardName>(saved),
     }

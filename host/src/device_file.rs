@@ -12,8 +12,8 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ANGLE_COUNTS, ARC, AngleChip, AngleSensor, Cogging, Description, DescriptionError, Encoder, EncoderAt, Homing,
-    Joint, JointFrame, Link, MAX_MODES, MAX_SENSED, Stribeck, StructuralMode, Transmission,
+    ANGLE_COUNTS, ARC, AngleChip, AngleSensor, Cogging, CoggingHarmonic, Description, DescriptionError, Encoder, EncoderAt,
+    Homing, Joint, JointFrame, Link, MAX_COGGING, MAX_MODES, MAX_SENSED, Stribeck, StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
@@ -521,12 +521,34 @@ fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
     Ok(Stribeck { rest, stribeck_speed })
 }
 
+/// Reads one harmonic from numbers, or several from lists of equal length.
 fn cogging_of(table: &Table<'_>) -> Cogging {
-    table.refuse_unknown_keys(&["amplitude", "per_turn"]);
-    Cogging {
-        amplitude: table.required_number("amplitude", Must::NotBeNegative, "amplitude = 0.001"),
-        per_turn: table.required_number("per_turn", Must::BePositive, "per_turn = 24"),
+    table.refuse_unknown_keys(&["amplitude", "per_turn", "phase"]);
+    let mut harmonics = [CoggingHarmonic::default(); MAX_COGGING];
+    let Some(count) = table.count("amplitude") else {
+        harmonics[0] = CoggingHarmonic {
+            amplitude: table.required_number("amplitude", Must::NotBeNegative, "amplitude = 0.001"),
+            per_turn: table.required_number("per_turn", Must::BePositive, "per_turn = 24"),
+            phase: table.number_or("phase", Must::BeFinite, 0.0),
+        };
+        return Cogging { harmonics };
+    };
+    if count > MAX_COGGING {
+        let reason = format!("{} has {count} harmonics, and at most {MAX_COGGING} are simulated", table.place());
+        table.keep(Err(table.error_at("amplitude", impossible(reason, "keep the largest"))), ());
     }
+    let list = |key: &str, must: Must| table.numbers(key, count, must, "one for each harmonic");
+    let amplitudes = table.keep(list("amplitude", Must::NotBeNegative), None).unwrap_or_default();
+    let per_turn = list("per_turn", Must::BePositive);
+    let example = "per_turn = [24, 48]";
+    let per_turn = table.keep(per_turn.and_then(|value| table.require("per_turn", value, example)), Vec::new());
+    let phases = table.keep(list("phase", Must::BeFinite), None).unwrap_or_else(|| vec![0.0; count]);
+    for (harmonic, ((amplitude, per_turn), phase)) in
+        harmonics.iter_mut().zip(amplitudes.into_iter().zip(per_turn).zip(phases))
+    {
+        *harmonic = CoggingHarmonic { amplitude, per_turn, phase };
+    }
+    Cogging { harmonics }
 }
 
 /// Reads the `[[joint.mode]]` tables of a joint.

@@ -2,6 +2,7 @@
 
 use crate::control::Rules;
 use crate::drive::carrier::RATE_HZ;
+use crate::model::cogging::Potentials;
 use crate::model::device::Device;
 use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 
@@ -17,6 +18,8 @@ pub struct Configuration {
     pub scene: Option<Scene<f32>>,
     /// Limits and rules.
     pub rules: Rules,
+    /// Potentials of the device's motors.
+    pub cogging: Potentials,
 }
 
 /// Returns an empty scene for a device without a loaded scene.

@@ -168,6 +168,8 @@ fn route<M: Described>(
         Home: |()| service.home(machine);
         CheckPolarity: |()| service.check_polarity(machine);
         FindStops: |press| service.find_stops(machine, press);
+        SetCogging: |cogging| service.set_cogging(machine, cogging);
+        GetCogging: |()| service.cogging().clone();
         Clear: |()| service.clear(machine);
         GetFaults: |()| service.faults().clone();
         Stream: |stream| {

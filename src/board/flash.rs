@@ -36,12 +36,16 @@ pub(super) fn stage_all(
     configuration: &Configuration,
     keys: &mut KeyList,
 ) -> Result<(), Refusal> {
-    let Configuration { device, scene, rules } = configuration;
+    let Configuration { device, scene, rules, cogging } = configuration;
     if let Some(device) = device {
         stage(machine, device, keys)?;
     }
     if let Some(scene) = scene {
         stage(machine, scene, keys)?;
+    }
+    // Potentials of an earlier device must not return after a restart.
+    if !cogging.is_empty() || machine.load(Key::Cogging).is_some() {
+        stage(machine, cogging, keys)?;
     }
     stage(machine, rules, keys)
 }

@@ -11,6 +11,7 @@ use crate::board::telemetry::{Batch, StreamRequest};
 pub use crate::control::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 pub use crate::control::{Beat, Press};
 use crate::control::{Rules, Status};
+use crate::model::cogging::Potentials;
 use crate::model::device::Device;
 use crate::render::controller::Gains;
 use crate::render::scene::Scene;
@@ -157,6 +158,8 @@ endpoints! {
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |
     | FindStops     | Press         | Outcome     | "haptic/stops"     |
+    | SetCogging    | Potentials    | Outcome     | "haptic/cogging"   |
+    | GetCogging    | ()            | Potentials  | "haptic/cogging?"  |
 }
 
 topics! {

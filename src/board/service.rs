@@ -14,6 +14,7 @@ use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
 use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
+use crate::model::cogging::{Compensation, Potentials};
 use crate::model::description::Homing;
 use crate::model::device::Device;
 use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
@@ -56,6 +57,7 @@ impl Service {
                 device: None,
                 scene: None,
                 rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
+                cogging: Potentials::default(),
             },
             name: Name::new(),
             checked_device: None,
@@ -89,6 +91,11 @@ impl Service {
         {
             let _ = self.damage.push((Key::Scene, Damage::Corrupt));
         }
+        if let (Some(cogging), true) = (self.read::<Potentials>(machine), self.configuration.device.is_some())
+            && self.set_cogging(machine, cogging).is_err()
+        {
+            let _ = self.damage.push((Key::Cogging, Damage::Corrupt));
+        }
         if !self.damage.is_empty() {
             let value = self.damage.len() as f32;
             let _ = machine.execute(Command::Fault(FaultRecord {
@@ -101,7 +108,7 @@ impl Service {
     }
 
     fn read<S: Setting>(&mut self, machine: &mut impl Machine) -> Option<S> {
-        let entry = machine.load(S::KEY)?;
+        let entry = machine.load(S::KEY).filter(|entry| !settings::is_former(entry))?;
         settings::decode(&entry).map_err(|damage| self.damage.push((S::KEY, damage))).ok()
     }
 
@@ -150,7 +157,10 @@ impl Service {
         check_motors_off(machine)?;
         check_device::<Mc::Math>(&device)?;
         let scene = self.configuration.scene.as_ref().filter(|scene| scene_fits_device(scene, &device)).cloned();
-        let mut next = Configuration { device: Some(device), scene, rules: self.configuration.rules };
+        // The same device keeps the potentials of its motors.
+        let same = self.configuration.device.as_ref() == Some(&device);
+        let cogging = if same { self.configuration.cogging.clone() } else { Potentials::default() };
+        let mut next = Configuration { device: Some(device), scene, rules: self.configuration.rules, cogging };
         self.install(machine, &mut next, false, None)?;
         self.finish_device_change(machine)
     }
@@ -158,6 +168,7 @@ impl Service {
     /// Informs the control loop if this device passed the polarity check before. A device with a NaN equals no device,
     /// so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        self.send_cogging(machine, false)?;
         match &self.checked_device {
             Some(_) if self.checked_device == self.configuration.device => machine.execute(Command::PolarityKnown).0,
             _ => Ok(()),
@@ -170,7 +181,8 @@ impl Service {
         let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
         scene.check(task(device)).map_err(Refusal::Scene)?;
         let (device, rules) = (Some(device.clone()), self.configuration.rules);
-        self.install(machine, &mut Configuration { device, scene: Some(scene), rules }, true, None)
+        let cogging = self.configuration.cogging.clone();
+        self.install(machine, &mut Configuration { device, scene: Some(scene), rules, cogging }, true, None)
     }
 
     /// Applies `next` and swaps the previous configuration into its place. A refusal changes nothing. The settings
@@ -218,7 +230,7 @@ impl Service {
         next: &Configuration,
         same_device: bool,
     ) -> Result<Option<(Mc::StoredProgram, f32)>, Refusal> {
-        let Configuration { device, scene, rules } = next;
+        let Configuration { device, scene, rules, .. } = next;
         let Some(device) = device else { return Ok(None) };
         let empty = empty_scene(device);
         let scene = scene.as_ref().unwrap_or(&empty);
@@ -314,6 +326,28 @@ impl Service {
         machine.execute(Command::FindStops(key)).0
     }
 
+    /// Returns the potentials of the motors.
+    pub fn cogging(&self) -> &Potentials {
+        &self.configuration.cogging
+    }
+
+    /// Sets the potentials of the motors, whose cogging the control loop then compensates. The motors must be off.
+    pub fn set_cogging(&mut self, machine: &mut impl Machine, cogging: Potentials) -> Result<(), Refusal> {
+        check_motors_off(machine)?;
+        check_cogging(self.device().ok_or(Refusal::NoDevice)?, &cogging)?;
+        self.configuration.cogging = cogging;
+        self.send_cogging(machine, true)
+    }
+
+    /// Compiles the potentials for the control loop. `learnt_here` is true if they were learnt at the present home.
+    fn send_cogging(&self, machine: &mut impl Machine, learnt_here: bool) -> Result<(), Refusal> {
+        let Configuration { device: Some(device), cogging, .. } = &self.configuration else { return Ok(()) };
+        for (i, (joint, potential)) in device.joints.iter().zip(&cogging.0).enumerate().take(device.axes()) {
+            machine.execute(Command::Cogging(i as u8, Compensation::new(joint, potential), learnt_here)).0?;
+        }
+        Ok(())
+    }
+
     /// Turns the motors on. With a `key`, the motors stay on only while the key is held.
     pub fn arm(&mut self, machine: &mut impl Machine, key: Option<Press>) -> Result<(), Refusal> {
         if self.configuration.device.is_none() {
@@ -381,6 +415,10 @@ impl Service {
 
 fn scene_fits_device(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
+}
+
+pub(super) fn check_cogging(device: &Device<f32>, cogging: &Potentials) -> Result<(), Refusal> {
+    cogging.first_unusable_joint(device).map_or(Ok(()), |joint| Err(Refusal::BadCogging(joint)))
 }
 
 /// Checks that every number that the control step uses is valid.

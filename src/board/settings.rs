@@ -7,6 +7,7 @@ use crate::board::storage::{CATALOGUE_KEY, DECISION_KEY};
 use crate::checksum::crc32;
 use crate::control::Rules;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::cogging::Potentials;
 use crate::model::description::{Homing, MAX_SENSED};
 use crate::model::device::{Device, Joint, NAME_LENGTH, Sensed};
 use crate::model::mechanism::AnyMechanism;
@@ -22,7 +23,7 @@ pub const LONGEST_SETTING: usize = 1024;
 /// Bytes of an entry.
 pub type Entry = Vec<u8, LONGEST_SETTING>;
 
-/// Key of a setting. The numbers never change. Old flash may contain an entry of the former key 4, which is not read.
+/// Key of a setting. The numbers never change. Old flash may contain a former setting under key 4, see [`is_former`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[repr(u8)]
 pub enum Key {
@@ -32,6 +33,8 @@ pub enum Key {
     Scene = 2,
     /// Limits and rules.
     Rules = 3,
+    /// Potentials of the device's motors.
+    Cogging = 4,
     /// Checksum of a device that once passed the polarity check. Unused, but contained in old flash and backups.
     Polarity = 5,
     /// The board's name.
@@ -50,7 +53,7 @@ const _: () = {
 
 impl Key {
     /// All keys.
-    pub const ALL: [Key; 5] = [Key::Device, Key::Scene, Key::Rules, Key::Polarity, Key::Name];
+    pub const ALL: [Key; 6] = [Key::Device, Key::Scene, Key::Rules, Key::Cogging, Key::Polarity, Key::Name];
 
     /// Returns the key's name in backups and reports.
     pub const fn name(self) -> &'static str {
@@ -58,6 +61,7 @@ impl Key {
             Key::Device => "device",
             Key::Scene => "scene",
             Key::Rules => "rules",
+            Key::Cogging => "cogging",
             Key::Polarity => "polarity",
             Key::Name => "name",
         }
@@ -164,6 +168,16 @@ impl Setting for Rules {
     const VERSION: u8 = 2;
     /// Inserts [`GENTLE_FORCE`] after the other limits, which are the first fifteen numbers of four bytes.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
+}
+impl Setting for Potentials {
+    const KEY: Key = Key::Cogging;
+    /// Version 1 is the version of the former setting, see [`is_former`].
+    const VERSION: u8 = 2;
+}
+
+/// Returns true for an entry of the former setting under [`Key::Cogging`], a mass matrix, which counts as missing.
+pub fn is_former(entry: &[u8]) -> bool {
+    matches!(entry, [key, 1, ..] if *key == Key::Cogging as u8)
 }
 
 /// Checksum of a device that once passed the polarity check. Old flash and backups may contain it. The checksum has no

@@ -59,6 +59,7 @@ where
             (self.placed, self.homed) = (true, true);
             self.keep_polarity_near_its_home();
             self.set_bounds();
+            self.update_cogging();
         }
     }
 

@@ -420,20 +420,33 @@ where
             return ForceDone::TooOld;
         }
         self.host.take(request, age);
+        self.update_added_torques();
         self.record_host();
         ForceDone::Taken
     }
 
+    /// Renders the scene with the torques of the host and of the compensation of cogging.
     #[inline(never)]
-    pub(super) fn render_with_push(&mut self, counts: &Counts) {
-        let push = self.host.step(self.period);
-        if let Some(program) = self.program.as_mut() {
-            program.controller.set_push(push.as_ref());
+    pub(super) fn render_with_added_torques(&mut self, counts: &Counts) {
+        if self.host.acts {
+            let push = self.host.step(self.period);
+            if let Some(program) = self.program.as_mut() {
+                program.controller.set_push(push.as_ref());
+            }
         }
         self.render_scene(counts);
         if self.host.acts {
             self.add_host_torques(counts);
         }
+        if self.cogging.acts {
+            self.add_cogging(counts);
+        }
+        self.update_added_torques();
+    }
+
+    #[inline(always)]
+    pub(super) fn update_added_torques(&mut self) {
+        self.adds_torques = self.host.acts | self.cogging.acts;
     }
 
     /// Adds the host's joint torques to the demand, and the tip force of these torques to the resultant force.
@@ -454,6 +467,7 @@ where
 
     pub(super) fn clear_host_force(&mut self) {
         self.host = HostForce::default();
+        self.update_added_torques();
         if let Some(program) = self.program.as_mut() {
             program.controller.set_push(None);
         }

@@ -6,6 +6,7 @@ use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::cogging::Compensation;
 use crate::model::description::Homing;
 use crate::render::controller::Gains;
 use crate::render::step_result::StepResult;
@@ -50,6 +51,8 @@ pub enum Command<P> {
     PolarityKnown,
     /// Clears a latched fault.
     Clear,
+    /// Compensation of the cogging of one joint's motor, and true if it was learnt at the present home.
+    Cogging(u8, Compensation, bool),
     /// Reports a live host and the state of its user's key.
     Beat(Beat),
     /// Latches a fault that was detected elsewhere.
@@ -179,6 +182,10 @@ where
                 self.record_known_polarity();
                 Ok(())
             }
+            Command::Cogging(joint, compensation, learnt_here) => {
+                self.set_cogging(*joint, compensation, *learnt_here);
+                Ok(())
+            }
             Command::Clear => {
                 self.fault = None;
                 if self.state == State::Fault {
@@ -273,6 +280,9 @@ where
             }
         }
         let old = self.program.replace(program);
+        if !same_device {
+            self.forget_cogging();
+        }
         if !(same_device && same_rate) {
             self.set_bounds();
         }

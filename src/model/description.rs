@@ -207,13 +207,42 @@ pub struct Stribeck {
     pub stribeck_speed: f64,
 }
 
-/// A torque that is periodic in the motor angle, amplitude sin(per_turn θ), on the motor's side.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Maximum number of harmonics of a cogging torque.
+pub const MAX_COGGING: usize = 4;
+
+/// A torque that is periodic in the motor angle, Σ amplitude sin(per_turn θ + phase), on the motor's side. It is the
+/// derivative of a potential, so it does no net work in a turn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cogging {
+    /// Harmonics; those with an amplitude of zero are absent.
+    pub harmonics: [CoggingHarmonic; MAX_COGGING],
+}
+
+/// A harmonic of a cogging torque.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CoggingHarmonic {
     /// Amplitude, N m at the joint.
     pub amplitude: f64,
     /// Number of periods in a turn of the joint.
     pub per_turn: f64,
+    /// Phase at joint angle zero, rad.
+    pub phase: f64,
+}
+
+impl Cogging {
+    /// Returns the torque at a motor angle (rad), N m.
+    pub fn torque(&self, angle: f64) -> f64 {
+        self.present().map(|h| h.amplitude * libm::sin(h.per_turn * angle + h.phase)).sum()
+    }
+
+    /// Returns the potential energy at a motor angle (rad), J; not negative.
+    pub fn energy(&self, angle: f64) -> f64 {
+        self.present().map(|h| h.amplitude / h.per_turn * (1.0 + libm::cos(h.per_turn * angle + h.phase))).sum()
+    }
+
+    fn present(&self) -> impl Iterator<Item = &CoggingHarmonic> {
+        self.harmonics.iter().filter(|harmonic| harmonic.amplitude != 0.0)
+    }
 }
 
 /// A structural mode: a part of the joint's link that oscillates on a spring. Given by its effective inertia with the

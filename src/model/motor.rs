@@ -56,6 +56,14 @@ impl<T: Real> Motor<T> {
         }
     }
 
+    /// Returns the turns of the motor's shaft per turn of the joint. The shaft of a brushed motor counts as the joint's.
+    pub fn shaft_ratio(&self) -> T {
+        match self.winding {
+            Winding::Brushed => T::one(),
+            Winding::ThreePhase { ratio, .. } => ratio,
+        }
+    }
+
     /// Returns the supply voltage that drives this current (A) through the motor at rest, V. Space-vector modulation
     /// gives a phase at most 1/√3 of the supply.
     pub fn supply_at_rest(&self, current: T) -> T {

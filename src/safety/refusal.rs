@@ -25,6 +25,8 @@ pub enum Refusal {
     Scene(crate::render::scene::SceneError),
     /// The device file has no `[home]`.
     NoHome,
+    /// The potential of a joint's motor cannot be used.
+    BadCogging(u8),
     /// The device has not been homed since power-on.
     NotHomed,
     /// A joint has no limits.
@@ -107,6 +109,11 @@ impl core::fmt::Display for Refusal {
             Self::BadDevice => f.write_str("the device's numbers cannot be used: check encoders and inertias"),
             Self::Scene(error) => write!(f, "{error}"),
             Self::NoHome => f.write_str("the device file has no [home]: add the joint angles of the home pose"),
+            Self::BadCogging(joint) => write!(
+                f,
+                "the cogging of joint {joint} cannot be compensated: its numbers are not finite, or its torque is more than a \
+                 quarter of the motor's: check `torque_constant` and `max_current`"
+            ),
             Self::NotHomed => f.write_str("the device is not homed: hold it in its home pose and run `haptic home`"),
             Self::NoJointLimits(joint) => {
                 write!(f, "joint {joint} has no limits in the device file: a real device needs them")

@@ -35,11 +35,12 @@ macro_rules! module {
 }
 
 /// All parts of the deep tests, cheapest first.
-pub const PARTS: [Part; 16] = [
+pub const PARTS: [Part; 17] = [
     Part { name: "clients", description: "The crates for other programs: dependencies and examples", run: clients },
     Part { name: "properties", description: "The library's tests with new random seeds", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
     module!("claims", "The figures of docs/claims/"),
+    module!("cogging", "Cogging learnt on 50 drawn motors"),
     module!("lies", "Wrong files, wires and sensors, and forces in new random scenes"),
     module!("tune", "Results of `tune` and `design` against brute force"),
     module!("ranges", "Measured ranges of stable walls"),

@@ -22,6 +22,7 @@
 //! | to | start at |
 //! |---|---|
 //! | measure stable walls on a board | [`measure`] |
+//! | learn a motor's cogging | [`cogging`] |
 //! | warn of implausible values in a device or a scene | [`plausible`] |
 //! | simulate encoder steps at a pressed wall | [`ripple`] |
 //! | find the cheapest sufficient control step | [`plan`], [`mod@bench`] |
@@ -32,6 +33,7 @@
 
 pub mod bench;
 pub mod boards;
+pub mod cogging;
 mod contact;
 pub mod design;
 pub mod measure;

@@ -2,6 +2,7 @@
 //!
 //! - [`canvas`]: an SVG document and its shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
+//! - [`cogging`]: a motor's cogging over the joint's angle
 //! - [`colour`]: the palette, and a colour scale that also works in print
 //! - [`coupling`]: the linkage moved along a normal, and its coupling over all directions (the paper's Fig. 1)
 //! - [`device`]: a device at home, with its joints
@@ -18,6 +19,7 @@
 
 pub mod axes;
 pub mod canvas;
+pub mod cogging;
 pub mod colour;
 pub mod coupling;
 pub mod device;

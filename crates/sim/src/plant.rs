@@ -263,9 +263,7 @@ impl Plant {
                 let speed_squared = velocity.powi(2) - self.qd[joint].powi(2);
                 0.5 * (mode.inertia * speed_squared + mode.stiffness() * (angle - self.q[joint]).powi(2))
             });
-            let magnets = self.cogging[joint].map_or(0.0, |cogging| {
-                cogging.amplitude / cogging.per_turn * (1.0 + (cogging.per_turn * turned[joint]).cos())
-            });
+            let magnets = self.cogging[joint].map_or(0.0, |cogging| cogging.energy(turned[joint]));
             state.sum::<f64>() + magnets
         };
         let transmission_energy = |joint: usize| {
@@ -348,7 +346,7 @@ impl Plant {
         let mut load = *load;
         for i in 0..N {
             if let Some(cogging) = self.cogging[i] {
-                load.torque[i] += cogging.amplitude * (cogging.per_turn * (angle[i] + 0.5 * h * speed[i])).sin();
+                load.torque[i] += cogging.torque(angle[i] + 0.5 * h * speed[i]);
             }
         }
         let load = &load;

@@ -10,6 +10,7 @@ use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Out
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::control::{Rules, Status};
+use haptic_bridge::model::cogging::Potentials;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
@@ -206,6 +207,14 @@ impl Board {
     /// Reads limits and rules.
     pub fn rules(&mut self) -> Result<Rules, LinkError> {
         self.call::<p::GetRules>(&(), REPLY)
+    }
+    /// Reads the potentials of the motors, whose cogging the board compensates.
+    pub fn cogging(&mut self) -> Result<Potentials, LinkError> {
+        self.call::<p::GetCogging>(&(), REPLY)
+    }
+    /// Sets the potentials of the motors. The motors must be off.
+    pub fn set_cogging(&mut self, cogging: &Potentials) -> Result<(), BoardError> {
+        self.change::<p::SetCogging>(cogging)
     }
     /// Declares the present pose to be the device's home pose. Homes a device with index marks by the marks that its
     /// joints have passed.

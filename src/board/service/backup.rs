@@ -1,12 +1,13 @@
 //! Settings in flash: saved from the configuration, read for a backup, and restored from a backup.
 
-use super::{Service, check_device, scene_fits_device};
+use super::{Service, check_cogging, check_device, scene_fits_device};
 use crate::board::configuration::{Configuration, task};
 use crate::board::flash::{decode_setting, stage, stage_all};
 use crate::board::machine::{Machine, check_motors_off};
 use crate::board::protocol::{Commit, KeyList, WriteEntry};
-use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting};
+use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting, is_former};
 use crate::control::Rules;
+use crate::model::cogging::Potentials;
 use crate::model::device::Device;
 use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
@@ -23,7 +24,7 @@ impl Service {
 
     /// Returns the entry of a setting in flash.
     pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
-        machine.load(key)
+        machine.load(key).filter(|entry| !is_former(entry))
     }
 
     /// Stages a setting from a backup until [`Service::commit_entries`]. Refuses a damaged or unknown setting.
@@ -34,6 +35,7 @@ impl Service {
             Key::Device => decode_setting::<Device<f32>>(entry).map(drop)?,
             Key::Scene => decode_setting::<Scene<f32>>(entry).map(drop)?,
             Key::Rules => decode_setting::<Rules>(entry).map(drop)?,
+            Key::Cogging => decode_setting::<Potentials>(entry).map(drop)?,
             Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
@@ -63,7 +65,11 @@ impl Service {
         if let Some(BoardName(name)) = name {
             self.name = name;
         }
-        if same_device { Ok(()) } else { self.finish_device_change(machine) }
+        match same_device {
+            true if keys.contains(&Key::Cogging) => self.send_cogging(machine, false),
+            true => Ok(()),
+            false => self.finish_device_change(machine),
+        }
     }
 
     /// Returns the present configuration with the settings staged under these keys, and true if the device stays the
@@ -77,6 +83,7 @@ impl Service {
         let rules: Option<Rules> = self.staged_value(machine, keys)?;
         let device: Option<Device<f32>> = self.staged_value(machine, keys)?;
         let scene: Option<Scene<f32>> = self.staged_value(machine, keys)?;
+        let cogging: Option<Potentials> = self.staged_value(machine, keys)?;
 
         let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
@@ -85,6 +92,10 @@ impl Service {
         }
         let same_device = device.is_none();
         let before = &self.configuration;
+        let cogging = match &device {
+            Some(device) if before.device.as_ref() != Some(device) => cogging.unwrap_or_default(),
+            _ => cogging.unwrap_or_else(|| before.cogging.clone()),
+        };
         let device = device.or_else(|| before.device.clone());
         let scene = match &device {
             Some(device) => {
@@ -96,7 +107,12 @@ impl Service {
             None if scene.is_some() => return Err(Refusal::NoDevice),
             None => None,
         };
-        Ok((Configuration { device, scene, rules }, same_device))
+        match &device {
+            Some(device) => check_cogging(device, &cogging)?,
+            None if !cogging.is_empty() => return Err(Refusal::NoDevice),
+            None => {}
+        }
+        Ok((Configuration { device, scene, rules, cogging }, same_device))
     }
 
     /// Returns the staged value of a setting if `keys` contains its key.

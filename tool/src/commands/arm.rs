@@ -38,8 +38,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     if args.key {
         let intro = "hold Space: motors on; release Space: motors off; q ends\n";
-        let armed = KeyedMotion { intro, begin: Board::arm_held, state: State::Armed, is_done: |_| false };
-        run_while_held(&mut board, &armed, args.on.json, stop)?;
+        let mut armed = KeyedMotion::new(intro, Board::arm_held, State::Armed);
+        run_while_held(&mut board, &mut armed, args.on.json, stop)?;
         return print("disarmed: the motors are off\n");
     }
     board.arm()?;
@@ -76,7 +76,7 @@ const KEY_INTERVAL: Duration = Duration::from_millis(20);
 const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A motion of the motors that lasts while a key is held.
-pub struct KeyedMotion {
+pub struct KeyedMotion<'a> {
     /// Instructions for the user.
     pub intro: &'static str,
     /// Starts the motion, see [`Board::arm_held`].
@@ -85,10 +85,25 @@ pub struct KeyedMotion {
     pub state: State,
     /// Returns true if the motion has ended well.
     pub is_done: fn(&Status) -> bool,
+    /// Continues the motion for at most [`KEY_INTERVAL`], and returns true at its end.
+    pub advance: Box<dyn FnMut(&mut Board) -> Result<bool, Failure> + 'a>,
+}
+
+impl KeyedMotion<'_> {
+    /// Returns a motion without an end, to which the host contributes nothing.
+    pub fn new(intro: &'static str, begin: fn(&mut Board, u32) -> Result<(), BoardError>, state: State) -> Self {
+        let advance = Box::new(|board: &mut Board| Ok(board.rows(KEY_INTERVAL).map(|_| false)?));
+        Self { intro, begin, state, is_done: |_| false, advance }
+    }
 }
 
 /// Keeps the motors on while Space is held, until `q` or the end of the motion. Then turns the motors off.
-pub fn run_while_held(board: &mut Board, motion: &KeyedMotion, json: Json, stop: Interrupt) -> Result<(), Failure> {
+pub fn run_while_held(
+    board: &mut Board,
+    motion: &mut KeyedMotion<'_>,
+    json: Json,
+    stop: Interrupt,
+) -> Result<(), Failure> {
     if json.is_requested() {
         return Err(Failure::wrong("--key does not apply with --json: it needs a person at the terminal"));
     }
@@ -104,12 +119,16 @@ pub fn run_while_held(board: &mut Board, motion: &KeyedMotion, json: Json, stop:
     Ok(off?)
 }
 
-fn follow_key(board: &mut Board, motion: &KeyedMotion, stop: Interrupt) -> Result<(), Failure> {
+fn follow_key(board: &mut Board, motion: &mut KeyedMotion<'_>, stop: Interrupt) -> Result<(), Failure> {
     let rate = board.details()?.rate_hz;
     let (mut key, mut on, mut polled) = (HeldKey::default(), false, Instant::now());
     let show = |words: &str| haptic_host::error::overwrite_line(format_args!("{words:40}"), false);
     while !stop.is_set() {
-        board.rows(KEY_INTERVAL)?;
+        if !on {
+            board.rows(KEY_INTERVAL)?;
+        } else if (motion.advance)(board)? {
+            return Ok(());
+        }
         let Some(message) = key.read_keys(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
         match message {
             Some(FromPage::Arm { seen }) => {

@@ -115,6 +115,7 @@ pub fn examples(words: &str) -> &'static [&'static str] {
             "haptic plot contact.mcap --svg contact.svg --width 85",
             "haptic plot contact.csv --show force --png force.png",
         ],
+        "cogging" => &["haptic cogging devices/gimbal-paddle.toml --joint 0 --svg cogging.svg"],
         "replay" => &["haptic replay contact.mcap"],
         "serve" => &["haptic serve --haply --port sim"],
         "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],

@@ -37,13 +37,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let device = board.device()?;
     let (axes, homing) = device.map_or((0, Homing::Hand), |device| (device.axes(), device.homing));
     if args.key {
-        let motion = KeyedMotion {
-            intro: "hold Space: each joint is pushed to its stop, keep your hands off; release Space: motors off; q ends\n",
-            begin: Board::find_stops,
-            state: State::Homing,
-            is_done: |status| status.homed,
-        };
-        run_while_held(&mut board, &motion, args.on.json, interrupt::watch())?;
+        let intro =
+            "hold Space: each joint is pushed to its stop, keep your hands off; release Space: motors off; q ends\n";
+        let mut motion = KeyedMotion::new(intro, Board::find_stops, State::Homing);
+        motion.is_done = |status| status.homed;
+        run_while_held(&mut board, &mut motion, args.on.json, interrupt::watch())?;
         if !board.status()?.homed {
             return Err(Failure::impossible("the device is not homed").remedy("hold Space until the command ends"));
         }
@@ -65,7 +63,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Homing::Stop(_) if !status.polarity => format!("homed: {pose}\nnext: `haptic polarity` again at this home\n"),
         _ => format!("homed: {pose}\n"),
     };
-    args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &words)
+    let forgotten = homing == Homing::Hand && board.details()?.real && !board.cogging()?.is_empty();
+    let forgotten = if forgotten { "next: `haptic cogging` again at this home\n" } else { "" };
+    args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &(words + forgotten))
 }
 
 /// Waits until every joint has passed its index mark. Says what is missing.

@@ -8,6 +8,7 @@ mod bench;
 mod board;
 mod bug_report;
 mod check;
+mod cogging;
 mod completions;
 mod continued;
 mod demo;
@@ -102,6 +103,7 @@ commands! {
         (Rules, rules)
         (Home, home)
         (Polarity, polarity)
+        (Cogging, cogging)
         (Arm, arm)
         (Disarm, disarm)
         (Stream, stream)

@@ -4,7 +4,9 @@ use super::forces::pick_one;
 use super::injected::{CheckMotion, measure_any_check, scale_motor_constants};
 use super::shipped_device;
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
+use haptic_bridge::model::description::{
+    Cogging, CoggingHarmonic, Description, Stribeck, StructuralMode, Transmission,
+};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Random};
@@ -65,9 +67,12 @@ pub fn correct_device(draw: &mut Random) -> (String, Description) {
             rest: joint.coulomb * draw.between(1.0, 1.8),
             stribeck_speed: log_uniform(draw, 0.02, 0.2),
         });
-        joint.cogging = cogs.then(|| Cogging {
-            amplitude: joint.coulomb * draw.between(0.1, 0.6),
-            per_turn: gear.round() * pick_one(draw, &[14.0, 24.0, 48.0]),
+        joint.cogging = cogs.then(|| {
+            let amplitude = joint.coulomb * draw.between(0.1, 0.6);
+            let per_turn = gear.round() * pick_one(draw, &[14.0, 24.0, 48.0]);
+            let mut cogging = Cogging::default();
+            cogging.harmonics[0] = CoggingHarmonic { amplitude, per_turn, phase: 0.0 };
+            cogging
         });
     }
     let home = device.home.unwrap().map(|angle| angle as f32);

@@ -2,6 +2,7 @@
 #![allow(dead_code, unused_imports, reason = "each test program uses only a part")]
 
 pub mod bodies;
+pub mod cogged;
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;

@@ -6,6 +6,8 @@ mod common;
 
 mod claims;
 
+mod cogging;
+
 mod documents {
     mod drawings;
     mod long_blocks;

@@ -164,9 +164,10 @@ fn flash_without_a_board_or_an_image_is_refused() {
     }
 }
 
+/// tool/tests/deep/cogging.rs runs `haptic cogging`, which takes seconds.
 #[test]
 fn every_listed_command_is_run() {
     let run = [&COMMANDS_WITHOUT_BOARD[..], &COMMANDS_WITH_BOARD, &SERVERS].concat();
-    let run = run.into_iter().map(|(line, _)| split_words(line)[0]).chain(["flash"]).map(String::from);
+    let run = run.into_iter().map(|(line, _)| split_words(line)[0]).chain(["cogging", "flash"]).map(String::from);
     assert_eq!(commands(), run.collect());
 }

@@ -10,6 +10,7 @@ mod backup;
 mod bad_files;
 mod board_commands;
 mod brushless;
+mod cogging;
 mod command_line;
 mod devices_with_weight;
 mod documents;

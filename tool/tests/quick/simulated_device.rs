@@ -3,7 +3,8 @@
 use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
-    Cogging, Description, Encoder, EncoderAt, Homing, Joint, Link, Stribeck, StructuralMode, Transmission,
+    Cogging, CoggingHarmonic, Description, Encoder, EncoderAt, Homing, Joint, Link, Stribeck, StructuralMode,
+    Transmission,
 };
 use haptic_bridge::model::motor::{Motor, Winding};
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, PowerStage, SimulatedDevice, Waypoint};
@@ -314,7 +315,9 @@ fn stribeck_friction_holds_more_than_it_brakes() {
 #[test]
 fn cogging_holds_a_motor_in_its_wells_without_energy_loss() {
     let mut description = paddle(0.0, 0.0);
-    description.joints[0].cogging = Some(Cogging { amplitude: 0.005, per_turn: 24.0 });
+    let mut torque = Cogging::default();
+    torque.harmonics[0] = CoggingHarmonic { amplitude: 0.005, per_turn: 24.0, phase: 0.0 };
+    description.joints[0].cogging = Some(torque);
     let mut cogging = device(&description);
     let well = std::f64::consts::TAU / 24.0;
     // Placed next to a maximum, the motor falls into the well and rises to the same height on the other side.
