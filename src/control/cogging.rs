@@ -52,7 +52,8 @@ where
     /// Applies the compensation to the present home. Call after a change of home.
     pub(super) fn update_cogging(&mut self) {
         let zero = self.zero();
-        let by_hand = self.program.as_ref().is_none_or(|program| program.homing == Homing::Hand);
+        let by_hand =
+            self.program.as_ref().is_none_or(|program| program.homing == Homing::Hand && !program.homes_itself);
         let valid = !(self.hardware.real && by_hand) || self.cogging.learnt_at == Some(zero);
         self.cogging.zero = zero;
         self.cogging.acts = valid && self.cogging.compensations.iter().any(|joint| !joint.is_empty());
