@@ -42,6 +42,12 @@ pub(crate) fn cast<T: Real, U: Real>(value: T) -> U {
     U::from_f64(value.to_f64())
 }
 
+/// Returns the largest integer that is not above `value`.
+pub(crate) fn floor_to_i32(value: f32) -> i32 {
+    let whole = value as i32;
+    if (whole as f32) > value { whole - 1 } else { whole }
+}
+
 /// Clamps `value` to ±`bound`, which is not negative; returns 0 if `value` is not finite.
 #[inline(always)]
 pub(crate) fn clamp(value: f32, bound: f32) -> f32 {

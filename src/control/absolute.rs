@@ -6,11 +6,11 @@
 //! the joint is assumed to keep its speed.
 
 use super::ControlLoop;
-use super::crest::floor_to_i32;
 use crate::control::joints::Counts;
 use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
+use crate::math::floor_to_i32;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::ANGLE_COUNTS;
 use crate::safety::fault::Fault;

@@ -12,7 +12,7 @@ use crate::control::frame::Samples;
 use crate::control::program::Program;
 use crate::drive::bits::{margin_bits, margin_bits_between, margin_counts};
 use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
-use crate::math::{Math, Real, clamp};
+use crate::math::{Math, Real, clamp, floor_to_i32};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::Homing;
 use crate::safety::fault::{Fault, State};
@@ -524,12 +524,6 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
     let most = i32::MAX as f32 * 0.25;
     let within = |end: f32| end.clamp(-most, most);
     Some((zero.wrapping_add(floor_to_i32(within(first))), zero.wrapping_add(-floor_to_i32(-within(last)))))
-}
-
-/// Returns the largest integer that is not above `value`.
-pub(super) fn floor_to_i32(value: f32) -> i32 {
-    let whole = value as i32;
-    if (whole as f32) > value { whole - 1 } else { whole }
 }
 
 #[test]

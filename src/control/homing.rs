@@ -3,12 +3,12 @@
 //! A person declares the home pose, or moves every joint over its encoder's index mark while the motors are off. Homing
 //! by stops begins with the home pose, roughly; `polarity/stops.rs` then pushes the joints.
 
-use super::crest::floor_to_i32;
 use super::{ControlLoop, REST_SPEED};
 use crate::control::joints::Counts;
 use crate::control::program::Program;
 use crate::drive::stage::Stage;
 use crate::math::Math;
+use crate::math::floor_to_i32;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::Homing;
 use crate::model::device::MAX_BEYOND_LIMITS;
