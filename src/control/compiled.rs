@@ -7,7 +7,7 @@ use crate::control::ControlLoop;
 use crate::control::frame::{Outputs, Samples, StepRecord};
 use crate::control::joints::Counts;
 use crate::control::program::Program;
-use crate::drive::carrier::Ticks;
+use crate::drive::carrier::{LegTicks, Ticks};
 use crate::math::Tabulated;
 use crate::model::catalogue::MAX_JOINTS;
 use core::mem::MaybeUninit;
@@ -17,7 +17,7 @@ pub type BoardMath = Tabulated;
 /// The board's handle to a program: a reference to its buffer, so that a program is handed over without a copy.
 pub type BoardProgram = &'static mut Program<BoardMath>;
 /// Compare values of each bridge's legs. A brushed motor is on the first two.
-pub type Legs = [[u16; 3]; MAX_JOINTS];
+pub type Legs = [LegTicks; MAX_JOINTS];
 /// The control loop of the board.
 pub type BoardControlLoop = ControlLoop<BoardProgram>;
 

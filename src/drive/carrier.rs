@@ -64,6 +64,16 @@ pub struct Ticks {
     middle: u32,
 }
 
+/// Compare values of a bridge's legs, aligned so that one instruction stores a pair.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C, align(4))]
+pub struct LegTicks {
+    /// The legs of a brushed motor.
+    pub pair: [u16; 2],
+    /// Third leg of a three-phase motor.
+    pub third: u16,
+}
+
 impl Ticks {
     /// Offset of the ticks from the middle, so that truncation rounds negative ticks like positive ticks.
     const ROUNDING_OFFSET: u32 = 1 << 15;
@@ -76,13 +86,13 @@ impl Ticks {
 
     /// Returns the compare values of a bridge's legs for a drive.
     #[inline(always)]
-    pub fn legs(&self, drive: MotorDrive) -> [u16; 3] {
+    pub fn legs(&self, drive: MotorDrive) -> LegTicks {
         match drive {
-            MotorDrive::Bridge(duty) => {
-                let [first, second] = self.two_legs(duty);
-                [first, second, 0]
+            MotorDrive::Bridge(duty) => LegTicks { pair: self.two_legs(duty), third: 0 },
+            MotorDrive::ThreePhase { legs, .. } => {
+                let [first, second, third] = legs.map(|leg| (2.0 * self.half * leg + 0.5) as u16);
+                LegTicks { pair: [first, second], third }
             }
-            MotorDrive::ThreePhase { legs, .. } => legs.map(|leg| (2.0 * self.half * leg + 0.5) as u16),
         }
     }
 

@@ -136,7 +136,7 @@ impl Io for Pins {
     }
 
     fn write(&mut self, legs: &Legs) {
-        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0].pair[0]));
     }
 
     fn drive(&mut self, on: bool) {

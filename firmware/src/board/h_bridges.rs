@@ -229,9 +229,9 @@ impl<W: Wires> Io for BridgeIo<W> {
     /// Writes the compare value of each axis's first leg. The second leg is its complement.
     #[inline(always)]
     fn write(&mut self, legs: &Legs) {
-        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
-        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
-        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0].pair[0]));
+        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1].pair[0]));
+        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2].pair[0]));
     }
 
     fn angle_sensors(&mut self) -> Option<&mut AngleSensors> {

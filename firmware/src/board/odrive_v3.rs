@@ -188,8 +188,8 @@ impl Pins {
     /// Writes the compare values of phase A of both axes.
     #[inline(never)]
     fn write_third_legs(legs: &Legs) {
-        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][2]));
-        pac::TIM8.ccr(0).write(|w| w.set_ccr(legs[1][2]));
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0].third));
+        pac::TIM8.ccr(0).write(|w| w.set_ccr(legs[1].third));
     }
 
     /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second axis.
@@ -255,10 +255,10 @@ impl Io for Pins {
 
     #[inline(always)]
     fn write(&mut self, legs: &Legs) {
-        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
-        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
-        pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));
-        pac::TIM8.ccr(2).write(|w| w.set_ccr(legs[1][1]));
+        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0].pair[0]));
+        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0].pair[1]));
+        pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1].pair[0]));
+        pac::TIM8.ccr(2).write(|w| w.set_ccr(legs[1].pair[1]));
         if self.has_third_legs {
             Self::write_third_legs(legs);
         }
