@@ -66,7 +66,7 @@ pub mod render {
 pub mod drive {
     pub(crate) mod bits;
     pub mod brushed;
-    pub mod brushless;
+    pub(crate) mod brushless;
     pub mod carrier;
     pub mod heat;
     pub mod motor_stage;

@@ -169,7 +169,7 @@ fn the_direct_axis_keeps_its_voltage_when_the_bus_ends() {
 #[test]
 fn a_motor_without_a_known_frame_receives_no_voltage() {
     let mut rig = Rig::new(false, 0.0, 0.0);
-    rig.stage.three_phase_mut().unwrap().set_frame(Frame::Unknown);
+    rig.stage.set_frame(Frame::Unknown);
     rig.stage.command(0.09);
     for _ in 0..10 {
         rig.period();
@@ -181,7 +181,7 @@ fn a_motor_without_a_known_frame_receives_no_voltage() {
 fn a_fixed_frame_pulls_the_rotor_by_the_cosine_of_its_angle() {
     for turn in [0.0, 0.7, 2.0, -1.2] {
         let mut rig = Rig::new(false, 0.0, 0.0);
-        rig.stage.three_phase_mut().unwrap().set_frame(Frame::Fixed(BinaryAngle::from_radians(OFFSET + turn)));
+        rig.stage.set_frame(Frame::Fixed(BinaryAngle::from_radians(OFFSET + turn)));
         rig.stage.command(0.09);
         for _ in 0..100 {
             rig.period();

@@ -78,8 +78,8 @@ pub trait Setting: Serialize + DeserializeOwned {
     /// or `END_POSITION`), and the bytes to insert.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[];
 
-    /// Decodes a value from exactly these bytes, which have the fields of this version.
-    fn from_bytes(_version: u8, bytes: &[u8]) -> Result<Self, Damage> {
+    /// Decodes a value of an earlier version from exactly these bytes, after the missing bytes were inserted.
+    fn from_earlier_bytes(bytes: &[u8]) -> Result<Self, Damage> {
         value_of(bytes)
     }
 }
@@ -96,8 +96,8 @@ impl Setting for Device<f32> {
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] =
         &[(2, END_POSITION, &[0x00, 0x00]), (3, END_POSITION, &[])];
 
-    fn from_bytes(version: u8, bytes: &[u8]) -> Result<Self, Damage> {
-        if version < Self::VERSION { value_of::<EarlierDevice>(bytes).map(Self::from) } else { value_of(bytes) }
+    fn from_earlier_bytes(bytes: &[u8]) -> Result<Self, Damage> {
+        value_of::<EarlierDevice>(bytes).map(Self::from)
     }
 }
 
@@ -243,7 +243,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
             for part in [before, missing, after] {
                 complete.extend_from_slice(part).map_err(|_| Damage::TooLong)?;
             }
-            S::from_bytes(*version, &complete)
+            S::from_earlier_bytes(&complete)
         }
         [_, _, value @ ..] => value_of(value),
         _ => Err(Damage::Corrupt),

@@ -164,7 +164,9 @@ where
         let (swung, pushed) = (self.polarity.swing.is_some(), self.polarity.push.is_some());
         let farthest = |j: usize| match j == i {
             true if pushed => f32::MAX,
-            true if self.polarity.alignment.follows() => Alignment::farthest(self.joints[i].stage.electrical_ratio()),
+            true if self.polarity.alignment.follows() => {
+                Alignment::max_distance(self.joints[i].stage.electrical_ratio())
+            }
             false if swung || pushed => lever[j] * MAX_UNDRIVEN_ANGLE,
             _ => lever[j] * MAX_STRAY_ANGLE,
         };

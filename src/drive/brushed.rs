@@ -181,7 +181,7 @@ impl Axis {
     }
 }
 
-/// An axis of a three-phase motor's rotor frame, whose windings obey the same equation as a brushed motor's.
+/// Methods for an axis of the rotor frame of a three-phase motor, which obeys the equation of a brushed motor.
 impl Axis {
     /// Returns the duty of an axis whose voltage also contains `coupled` (V), see [`Stage::drive`].
     pub(super) fn drive_coupled(

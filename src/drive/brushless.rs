@@ -32,7 +32,7 @@ pub(crate) fn resolves(angle_per_count: f32) -> bool {
 
 /// The frame of a three-phase motor and its direct axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThreePhase {
+pub(super) struct ThreePhase {
     direct: Axis,
     frame: Frame,
     /// Electrical angle per encoder count, in units of a binary angle.
@@ -120,7 +120,7 @@ impl ThreePhase {
     }
 
     /// Returns true if the encoder resolves the motor's electrical angle.
-    pub fn is_usable(&self) -> bool {
+    fn is_usable(&self) -> bool {
         self.angle_per_count != 0
     }
 
@@ -134,12 +134,12 @@ impl ThreePhase {
     }
 
     /// Sets the frame of both loops.
-    pub fn set_frame(&mut self, frame: Frame) {
+    pub(super) fn set_frame(&mut self, frame: Frame) {
         (self.frame, self.mirror) = (frame, 1.0);
     }
 
     /// Returns the frame of both loops.
-    pub fn frame(&self) -> Frame {
+    pub(super) fn frame(&self) -> Frame {
         self.frame
     }
 

@@ -36,18 +36,6 @@ impl Default for MotorDrive {
     }
 }
 
-impl MotorStage {
-    /// Returns the three-phase part of a brushless motor.
-    pub fn three_phase(&self) -> Option<&ThreePhase> {
-        self.three_phase.as_ref()
-    }
-
-    /// Returns the three-phase part of a brushless motor.
-    pub fn three_phase_mut(&mut self) -> Option<&mut ThreePhase> {
-        self.three_phase.as_mut()
-    }
-}
-
 impl Stage for MotorStage {
     type Sample = f32;
     type Drive = MotorDrive;

@@ -125,7 +125,7 @@ impl core::fmt::Display for Refusal {
             ),
             Self::BridgeHasTwoLegs(joint) => write!(
                 f,
-                "the motor of joint {joint} is brushless, and this board's bridges have two legs: use a board with three"
+                "the motor of joint {joint} is brushless, and this board's bridges have two legs: use a board whose bridges have three"
             ),
             Self::NoCurrentSensor(joint) => write!(
                 f,

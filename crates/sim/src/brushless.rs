@@ -186,7 +186,7 @@ mod tests {
             for _ in 0..10_000 {
                 torque = motor.step(MotorInput::Legs([0.6, 0.5, 0.5]), 0.0, 0.0, &bridge, 5e-6);
             }
-            // Phase 0 carries 2/3 of 2.4 V / 2.5 ohm.
+            // Leg 0 is a tenth of 24 V above the other two, and phase 0 takes two thirds of these 2.4 V.
             let peak = 2.4 * 2.0 / 3.0 / 2.5 * MOTOR.torque_constant;
             assert!((torque + peak * angle.sin()).abs() < 1e-9, "{angle}: {torque} N m of {peak} N m");
         }

@@ -41,8 +41,9 @@ const MAX_LAST_CORRECTION: f32 = 0.3;
 const MAX_CORRECTIONS: u8 = 5;
 /// Share of a correction that is applied, because friction lowers the smaller of two cosines more.
 const CORRECTION_SHARE: f32 = 0.7;
-/// Motion of the joint to either side, rad, and the largest such motion, electrical rad.
+/// Motion of the joint to either side, rad, if it is at most [`MAX_MOTION_ELECTRICAL`].
 const MOTION: f32 = 0.08;
+/// Largest motion of the joint to either side, electrical rad.
 const MAX_MOTION_ELECTRICAL: f32 = 2.0;
 /// Angle that the field turns in addition, because the rotor stays behind, rad.
 const LAG_ELECTRICAL: f32 = 0.8;
@@ -145,7 +146,7 @@ impl Alignment {
 
     /// Returns true while the rotor follows the field.
     pub(super) fn follows(&self) -> bool {
-        !self.done && matches!(self.part, Part::Pull | Part::Ahead | Part::Back | Part::Return | Part::Fade)
+        !self.done && !matches!(self.part, Part::Zero | Part::Quarter | Part::Behind | Part::InFront)
     }
 
     /// Returns the pole pairs of a rotor that followed the field to this distance from its initial angle, rad.
@@ -155,7 +156,7 @@ impl Alignment {
 
     /// Returns the largest distance of the joint from its initial angle while the rotor follows the field, rad;
     /// `electrical_ratio` is the file's.
-    pub(super) fn farthest(electrical_ratio: f32) -> f32 {
+    pub(super) fn max_distance(electrical_ratio: f32) -> f32 {
         MAX_ALIGNING_ANGLE.0.greater(MAX_ALIGNING_ANGLE.1 / electrical_ratio)
     }
 }
@@ -211,18 +212,14 @@ where
                 if again { Part::Behind } else { Part::Pull }
             }
         };
-        let Some(breakaway) = alignment.breakaway_torque else {
-            if alignment.part == Part::Behind && alignment.corrections == 0 {
-                self.trip(Fault::PolarityNoMotion, axis, 0.0);
-            } else {
+        let breakaway = match (alignment.part, alignment.breakaway_torque) {
+            (Part::Behind, None) => return self.trip(Fault::PolarityNoMotion, axis, 0.0),
+            (Part::Pull, Some(breakaway)) => breakaway,
+            _ => {
                 self.begin_aligning_swing();
+                return;
             }
-            return;
         };
-        if alignment.part != Part::Pull {
-            self.begin_aligning_swing();
-            return;
-        }
         let ratio = sqrt(cosine * cosine + last * last);
         if !(ACCEPTED_TORQUE_RATIO.0..=ACCEPTED_TORQUE_RATIO.1).contains(&ratio) {
             return self.trip(Fault::TorqueMismatch, axis, ratio);
