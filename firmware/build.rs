@@ -13,7 +13,7 @@ fn main() {
         println!("cargo::rustc-link-arg-bin=haptic-firmware={argument}");
     }
     // The linker keeps the entry points of `no-panic` and drops everything that they do not reach.
-    for name in ["render", "crest", "generally", "notes", "sums"] {
+    for name in ["render", "angles", "crest", "generally", "notes", "sums"] {
         println!("cargo::rustc-link-arg-bin=no-panic=--undefined=carrier_{name}");
     }
     for argument in ["--entry=control_step", "--gc-sections", "--nmagic"] {
