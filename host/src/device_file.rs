@@ -12,8 +12,9 @@ use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
-    ANGLE_COUNTS, ARC, AngleChip, AngleSensor, Cogging, CoggingHarmonic, Description, DescriptionError, Encoder, EncoderAt,
-    Homing, Joint, JointFrame, Link, MAX_COGGING, MAX_MODES, MAX_SENSED, Stribeck, StructuralMode, Transmission,
+    ANGLE_COUNTS, ARC, AngleChip, AngleSensor, Cogging, CoggingHarmonic, Description, DescriptionError, Encoder,
+    EncoderAt, Homing, Joint, JointFrame, Link, MAX_COGGING, MAX_MODES, MAX_SENSED, Stribeck, StructuralMode,
+    Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};

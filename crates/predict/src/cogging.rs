@@ -147,12 +147,12 @@ pub fn fit(passes: &[Pass], motion: &Motion) -> Result<Learnt, CoggingError> {
         let Some((order, _)) = scored.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
         let (more, next) = refined(&series, [&orders[..], &[order]].concat(), allowed);
         let error = series.held_out(&more);
-        if !(error < WORTHWHILE * held_out) {
+        if error.is_nan() || error >= WORTHWHILE * held_out {
             break;
         }
         (orders, best, held_out) = (more, next, error);
     }
-    if !(held_out < MAX_HELD_OUT_SHARE * before) {
+    if held_out.is_nan() || held_out >= MAX_HELD_OUT_SHARE * before {
         return Err(CoggingError::Nothing { before, held_out });
     }
     let harmonic = |(order, (cosine, sine)): (&f64, &(f64, f64))| {
@@ -207,7 +207,7 @@ fn refined(series: &Series<'_>, mut orders: Vec<f64>, allowed: impl Fn(&[f64], f
 fn bins(passes: &[Pass], motion: &Motion) -> Vec<(f64, f64, f64)> {
     let all = || passes.iter().flat_map(|pass| &pass.samples).map(|sample| sample.q);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
-    if !(high > low) {
+    if high <= low {
         return Vec::new();
     }
     let width = ((high - low) / MAX_BINS).max(MIN_BIN_COUNTS * motion.count.abs());

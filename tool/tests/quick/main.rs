@@ -4,6 +4,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod absolute;
 mod admissible_set;
 mod any_order;
 mod backup;
