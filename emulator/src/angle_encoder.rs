@@ -45,7 +45,7 @@ impl AngleEncoder {
     }
 
     fn reply_to(&mut self, command: u16) -> u16 {
-        let is_even = command.count_ones() % 2 == 0;
+        let is_even = command.count_ones().is_multiple_of(2);
         let data = match (is_even && command & READ != 0, command & ANGLE_ADDRESS) {
             (true, ANGLE_ADDRESS) => self.angle.unwrap_or(0) as u16 & ANGLE_ADDRESS,
             (true, ERROR_ADDRESS) => {

@@ -75,6 +75,9 @@ const KEY_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval between polls of the board's status.
 const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
+/// Continues a motion for at most [`KEY_INTERVAL`], and returns true at its end.
+pub type Advance<'a> = Box<dyn FnMut(&mut Board) -> Result<bool, Failure> + 'a>;
+
 /// A motion of the motors that lasts while a key is held.
 pub struct KeyedMotion<'a> {
     /// Instructions for the user.
@@ -86,7 +89,7 @@ pub struct KeyedMotion<'a> {
     /// Returns true if the motion has ended well.
     pub is_done: fn(&Status) -> bool,
     /// Continues the motion for at most [`KEY_INTERVAL`], and returns true at its end.
-    pub advance: Box<dyn FnMut(&mut Board) -> Result<bool, Failure> + 'a>,
+    pub advance: Advance<'a>,
 }
 
 impl KeyedMotion<'_> {
