@@ -3,7 +3,8 @@
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
-    Description, Encoder, EncoderAt, Homing, Joint, JointFrame, Link, Transmission,
+    ANGLE_COUNTS, AngleChip, AngleSensor, Description, Encoder, EncoderAt, Homing, Joint, JointFrame, Link,
+    Transmission,
 };
 use haptic_bridge::model::motor::{Motor, Winding};
 use std::f64::consts::TAU;
@@ -90,11 +91,21 @@ fn joint(table: &Table) -> Joint {
         coulomb: number(table, "coulomb").unwrap_or(0.0),
         limits: limits.map(|limits| (limits[0], limits[1])),
         encoder: table.get("encoder").and_then(Value::as_table).map(encoder),
+        absolute: table.get("encoder").and_then(Value::as_table).and_then(angle_sensor),
         motor: table.get("motor").and_then(Value::as_table).map(motor),
         rigid: table.get("transmission").is_some_and(|word| word.as_str() == Some("rigid")),
         transmission: table.get("transmission").and_then(Value::as_table).map(|values| transmission(values, table)),
         ..Joint::default()
     }
+}
+
+/// Returns an absolute encoder at the joint.
+fn angle_sensor(table: &Table) -> Option<AngleSensor> {
+    let chip = [AngleChip::As5047, AngleChip::As5048]
+        .into_iter()
+        .find(|chip| table.get("kind").is_some_and(|kind| kind.as_str() == Some(chip.name())))?;
+    assert_eq!(table.get("at").and_then(Value::as_str), Some("joint"), "the place of an absolute encoder");
+    Some(AngleSensor { chip, at: EncoderAt::Joint })
 }
 
 fn transmission(table: &Table, joint: &Table) -> Transmission {
@@ -108,10 +119,11 @@ fn transmission(table: &Table, joint: &Table) -> Transmission {
 }
 
 fn encoder(table: &Table) -> Encoder {
-    assert_known_keys(table, &["counts_per_turn", "counts_per_metre", "offset", "inverted", "name"]);
+    assert_known_keys(table, &["kind", "at", "counts_per_turn", "counts_per_metre", "offset", "inverted", "name"]);
     let counts_per_metre = number(table, "counts_per_metre").map(|counts| counts * TAU);
+    let absolute = angle_sensor(table).map(|_| ANGLE_COUNTS.into());
     Encoder {
-        counts_per_turn: number(table, "counts_per_turn").or(counts_per_metre).expect("counts"),
+        counts_per_turn: number(table, "counts_per_turn").or(counts_per_metre).or(absolute).expect("counts"),
         offset: number(table, "offset").unwrap_or(0.0),
         inverted: table.get("inverted").is_some_and(|flag| flag.as_bool().expect("a flag")),
     }

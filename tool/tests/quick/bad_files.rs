@@ -324,9 +324,9 @@ fn contradictions_of_absolute_encoders_are_refused() {
     let kind = "kind = \"as5047\"\n";
     let compliant = "limits = [-1.0, 3.0]\n[joint.transmission]\nstiffness = 50.0\nencoder_at = \"motor\"\n";
     for (changes, words) in [
-        (&[(counts, "kind = \"as5600\"\n")][..], "`kind` in [joint.encoder] of [[joint]] 0 is \"as5600\""),
+        (&[(counts, "kind = \"as5600\"\n")][..], "`kind` in [joint.encoder] of [[joint]] 0 cannot be \"as5600\""),
         (&[(counts, "kind = \"as5047\"\ncounts_per_turn = 4096\n")], "an as5047 always has 16384 counts"),
-        (&[(counts, "kind = \"as5048\"\nat = \"link\"\n")], "`at` in [joint.encoder] of [[joint]] 0 is \"link\""),
+        (&[(counts, "kind = \"as5048\"\nat = \"link\"\n")], "0 cannot be \"link\""),
         (&[(counts, "at = \"joint\"\ncounts_per_turn = 16384\n")], "unknown key `at`"),
         (&[(counts, kind), ("torque_constant", "ratio = 0.0\ntorque_constant")], "`ratio` in [joint.motor]"),
         (&[(counts, "kind = \"as5047\"\nat = \"joint\"\n"), ("limits = [-1.0, 3.0]\n", compliant)], "different shafts"),
@@ -393,8 +393,9 @@ fn every_misspelt_key_and_mistyped_value_is_refused() {
             tried += 1;
             let misspelt = parse(&replace_line(&text, index, &format!("{key}x = {value}")));
             let error = misspelt.expect_err(&format!("`{key}x` must be refused"));
-            assert_eq!(error.position, Some((index + 1, 1)), "{error}");
-            assert!(error.to_string().contains(&format!("`{key}x`")), "{error}");
+            // An error of the table can come first: without its kind, an absolute encoder lacks counts.
+            let place = format!(":{}:1: unknown key `{key}x`", index + 1);
+            assert!(error.to_string().contains(&place), "{error}");
             // A date is a wrong value for every key.
             let mistyped = parse(&replace_line(&text, index, &format!("{key} = 1979-05-27")));
             let error = mistyped.expect_err(&format!("`{key}` must not be a date"));
