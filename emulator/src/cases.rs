@@ -84,12 +84,13 @@ const fn case(board: BoardKind, device: &'static str, scene_kind: SceneKind, tar
 }
 
 /// Cases that are measured stage by stage, with recorded results.
-pub const CASES: [Case; 5] = [
+pub const CASES: [Case; 6] = [
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Wall, 800),
     case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Corner, 1200),
     case(BoardKind::HBridgeF405, "phantom-premium-1.5", SceneKind::Wall, 1150),
     case(BoardKind::HBridgeF405, "woodenhaptics", SceneKind::Wall, 1150),
     case(BoardKind::HBridgeF405, "fictive-five-bar-turret", SceneKind::Wall, 1150),
+    case(BoardKind::OdriveV3, "gimbal-five-bar", SceneKind::Wall, 1800),
 ];
 
 /// All other kinds of scenes, on a five-bar.

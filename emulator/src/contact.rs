@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::model::motor::Winding;
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::Support;
 
@@ -86,9 +87,13 @@ impl Rig {
         home
     }
 
-    /// Checks the polarity while a rubber band carries the device.
+    /// Checks the polarity while a rubber band carries the device. A device with three-phase motors lies free, because
+    /// the band would shift the alignment of its motors.
     pub fn check_polarity_suspended(&mut self) {
-        self.with_simulated(suspend_device);
+        let mut joints = self.file.iter().flat_map(|file| &file.description.joints);
+        if !joints.any(|joint| joint.motor.is_some_and(|motor| motor.winding != Winding::Brushed)) {
+            self.with_simulated(suspend_device);
+        }
         self.check_polarity();
         self.with_simulated(|device| device.set_support(Support::None));
     }

@@ -1,10 +1,11 @@
 //! Critical sections that never delay the control interrupt.
 //!
 //! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks only the tasks'
-//! interrupts ([`OTHERS`]). Three interrupts have a higher priority and run inside critical sections, so they use no
-//! data that a critical section protects, and never log. The interrupt of the supply monitor ([`SUPPLY`]) turns the
-//! bridges off and resets. The control interrupt ([`CONTROL`]) uses atomics, a ring with one writer and one reader, and
-//! one request at a time. The interrupt that feeds the watchdog ([`WATCHDOG`]) uses atomics.
+//! interrupts ([`OTHERS`]). Four interrupts have a higher priority and run inside critical sections, so they use no data
+//! that a critical section protects, and never log. The interrupt of the supply monitor ([`SUPPLY`]) turns the bridges
+//! off and resets. The interrupt of the encoders' bus has the same priority and uses its own frames. The control
+//! interrupt ([`CONTROL`]) uses atomics, a ring with one writer and one reader, and one request at a time. The interrupt
+//! that feeds the watchdog ([`WATCHDOG`]) uses atomics.
 
 use cortex_m::register::{basepri, basepri_max};
 use embassy_stm32::interrupt::Priority;
@@ -20,7 +21,7 @@ pub const OTHERS: Priority = Priority::P6;
 const MASKED_PRIORITY: u8 = 3 << 4;
 
 /// Gives every interrupt of the chip the priority [`OTHERS`]. After a reset all have priority 0, at which they would
-/// run inside critical sections. Call before any interrupt is enabled, and set the three higher priorities afterwards.
+/// run inside critical sections. Call before any interrupt is enabled, and set the higher priorities afterwards.
 pub fn lower_all() {
     // SAFETY: no interrupt is enabled yet at start-up. The priority registers accept any value, including the registers
     // of interrupts that this chip lacks (ARMv7-M B3.4.9).

@@ -38,10 +38,10 @@ fn the_odrive_reads_an_absolute_encoder_and_arms_without_homing() {
     assert!((force - 0.5).abs() < 0.04, "{force} N");
     assert!((depth * 300.0 - force).abs() < 0.03, "{depth} m at {force} N");
     let details = rig.tool.details().expect("the board replies");
-    // The angle is 27 us old, and the duties apply half a carrier period later, or a whole one if many steps are late.
-    let duties = details.delay_samples - 0.54;
-    assert!([0.5, 1.0].iter().any(|delay| (duties - delay).abs() < 1e-3), "{} samples", details.delay_samples);
-    // Every second frame is that of a valley, whose reply the image does not use.
+    // The angle is 27 us old, and the duties apply half a carrier period later.
+    assert!((details.delay_samples - 1.04).abs() < 1e-3, "{} samples", details.delay_samples);
+    assert_eq!(details.overruns, 0);
+    // The image does not use the first of a period's two replies.
     for (replies, expected) in [(4, (State::Armed, None)), (6, (State::Fault, Some(Fault::EncoderFrames)))] {
         rig.while_stopped(move |stopped| stopped.hardware().angle_encoder(0).disturb(replies));
         rig.run(10 * MILLISECOND);

@@ -38,3 +38,8 @@ fn a_step_of_three_joints_in_contact_stays_within_its_record() {
 fn a_step_of_a_turret_in_contact_stays_within_its_record() {
     stays_within_record(4);
 }
+
+#[test]
+fn a_step_of_two_three_phase_motors_in_contact_stays_within_its_record() {
+    stays_within_record(5);
+}
