@@ -91,8 +91,9 @@ impl Rig {
     /// the band would shift the alignment of its motors.
     pub fn check_polarity_suspended(&mut self) {
         let mut joints = self.file.iter().flat_map(|file| &file.description.joints);
-        if !joints.any(|joint| joint.motor.is_some_and(|motor| motor.winding != Winding::Brushed)) {
-            self.with_simulated(suspend_device);
+        match joints.any(|joint| joint.motor.is_some_and(|motor| motor.winding != Winding::Brushed)) {
+            true => self.with_simulated(|device| device.set_support(Support::None)),
+            false => self.with_simulated(suspend_device),
         }
         self.check_polarity();
         self.with_simulated(|device| device.set_support(Support::None));
