@@ -25,8 +25,8 @@ use core::ops::DerefMut;
 pub(super) const MAX_SWING_ELECTRICAL: f32 = 0.25;
 /// Torque that pulls the rotor towards the field, as a ratio to the torque that moved the joint in a swing.
 const PULL_FRICTION_RATIO: f32 = 2.5;
-/// Smallest tip force of the pull, N.
-const MIN_PULL_FORCE: f32 = 0.15;
+/// Smallest tip force of the pull, N. A weaker current is too close to the resolution of an ODrive's sensors, 20 mA.
+const MIN_PULL_FORCE: f32 = 0.4;
 /// Largest tip force of the pull, N.
 const MAX_PULL_FORCE: f32 = 0.8;
 /// Time in which the pull grows, s.
