@@ -71,8 +71,8 @@ pub struct ControlLoop<P, S = MotorStage> {
     /// Number of joints of the loaded device.
     joint_count: u8,
     compensates_weight: bool,
-    /// `joint_count` while a crest takes a single pass: the motors are on, brushed, and every joint has a range. Otherwise
-    /// 0.
+    /// `joint_count` while a crest takes a single pass: the motors are on, and every joint has a range. Otherwise 0.
+    /// [`crest::PHASES_PASS`] more if a motor has three phases.
     one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
@@ -408,8 +408,9 @@ where
 
     fn update_fast_path(&mut self) {
         let mut joints = self.joints.iter().take(self.count());
-        let limited = joints.all(|joint| joint.is_limited() && !joint.stage.is_three_phase());
-        self.one_pass_joints = if self.state.drives() && limited { self.joint_count } else { 0 };
+        let phases = if joints.clone().any(|joint| joint.stage.is_three_phase()) { crest::PHASES_PASS } else { 0 };
+        let limited = joints.all(|joint| joint.is_limited());
+        self.one_pass_joints = if self.state.drives() && limited { self.joint_count + phases } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
         self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
         self.update_steady();

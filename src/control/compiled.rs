@@ -4,6 +4,7 @@
 //! uses it. The control interrupt therefore calls only functions of this module.
 
 use crate::control::ControlLoop;
+use crate::control::crest::PHASES_PASS;
 use crate::control::frame::{Outputs, Samples, StepRecord};
 use crate::control::joints::Counts;
 use crate::control::program::Program;
@@ -45,6 +46,7 @@ pub fn crest(control_loop: &mut BoardControlLoop, seen: &mut Samples, ticks: &Ti
         2 => crest_of_two_joints(control_loop, seen, ticks, legs),
         3 => crest_of_three_joints(control_loop, seen, ticks, legs),
         1 => crest_of_one_joint(control_loop, seen, ticks, legs),
+        PHASES_PASS.. => crest_of_three_phase_motors(control_loop, seen, ticks, legs),
         _ => crest_of_any_kind(control_loop, seen, true, ticks, legs),
     }
 }
@@ -53,17 +55,33 @@ pub fn crest(control_loop: &mut BoardControlLoop, seen: &mut Samples, ticks: &Ti
 
 #[inline(never)]
 fn crest_of_one_joint(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<1, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
+    control_loop.crest_of::<1, false, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
 }
 
 #[inline(never)]
 fn crest_of_two_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<2, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
+    control_loop.crest_of::<2, false, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
 }
 
 #[inline(never)]
 fn crest_of_three_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    control_loop.crest_of::<3, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
+    control_loop.crest_of::<3, false, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs)
+}
+
+/// Runs a crest of a device with three-phase motors in one pass.
+#[inline(never)]
+fn crest_of_three_phase_motors(
+    control_loop: &mut BoardControlLoop,
+    seen: &mut Samples,
+    ticks: &Ticks,
+    legs: &mut Legs,
+) -> bool {
+    control_loop.read_phases(seen);
+    match control_loop.joint_count {
+        2 => control_loop.crest_of::<2, true, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs),
+        3 => control_loop.crest_of::<3, true, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs),
+        _ => control_loop.crest_of::<1, true, _>(seen, &seen.currents, &|drive| ticks.legs(drive), legs),
+    }
 }
 
 /// Runs any crest, with a control step if `due`, see [`crest`].

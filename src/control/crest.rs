@@ -35,6 +35,9 @@ const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
 const STANDSTILL_SPEED: f32 = 1.0e-3;
 
+/// Number that [`ControlLoop::one_pass_joints`] adds to the joints of a device with three-phase motors.
+pub(super) const PHASES_PASS: u8 = 4;
+
 /// A joint and its motor. The fields are contiguous in the order of a crest, so that one address reaches every field.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
@@ -268,9 +271,10 @@ where
     /// Checks the samples, commands the torques that [`ControlLoop::render`] computed, and writes the next drives
     /// `into` `legs`. Returns false if the motors are off now.
     ///
-    /// Call if [`ControlLoop::one_pass_joints`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`].
+    /// Call if [`ControlLoop::one_pass_joints`] is J, or with `PHASES` if it is J + [`PHASES_PASS`]. Computes the same as
+    /// [`ControlLoop::crest_of_any_kind`].
     #[inline(always)]
-    pub(super) fn crest_of<const J: usize, L>(
+    pub(super) fn crest_of<const J: usize, const PHASES: bool, L>(
         &mut self,
         seen: &Samples,
         samples: &[S::Sample; MAX_JOINTS],
@@ -278,7 +282,7 @@ where
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         if !self.check_samples_of::<J>(seen) {
-            return self.finish_unusual_crest::<J, L>(UnusualCrest::Crest, seen, samples, into, legs);
+            return self.finish_unusual_crest::<J, PHASES, L>(UnusualCrest::Crest, seen, samples, into, legs);
         }
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()).take(J) {
             joint.count = *count;
@@ -287,19 +291,19 @@ where
         let watched = self.watch::<J>();
         if self.steady | watched < 0 || self.fits::<J>() < 0 {
             let unusual = if watched < 0 { UnusualCrest::Step } else { UnusualCrest::Torques };
-            return self.finish_unusual_crest::<J, L>(unusual, seen, samples, into, legs);
+            return self.finish_unusual_crest::<J, PHASES, L>(unusual, seen, samples, into, legs);
         }
         self.command_unlimited::<J>();
         let supply = Supply::of(seen.bus_voltage);
         if seen.late {
-            return self.drive_unusually::<J, L>(&supply, true, samples, into, legs);
+            return self.drive_unusually::<J, PHASES, L>(&supply, true, samples, into, legs);
         }
-        self.drive_all::<J, L>(&supply, false, samples, into, legs)
+        self.drive_all::<J, PHASES, L>(&supply, false, samples, into, legs)
     }
 
     #[cold]
     #[inline(never)]
-    fn finish_unusual_crest<const J: usize, L>(
+    fn finish_unusual_crest<const J: usize, const PHASES: bool, L>(
         &mut self,
         unusual: UnusualCrest,
         seen: &Samples,
@@ -319,14 +323,14 @@ where
         let supply = Supply::of(seen.bus_voltage);
         if self.state.drives() && supply.is_usable() {
             self.drive_voltage = seen.bus_voltage;
-            return self.drive_unusually::<J, L>(&supply, seen.late, samples, into, legs);
+            return self.drive_unusually::<J, PHASES, L>(&supply, seen.late, samples, into, legs);
         }
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
     /// Drives the legs of J joints after an unusual step or with late duties.
     #[inline(never)]
-    fn drive_unusually<const J: usize, L>(
+    fn drive_unusually<const J: usize, const PHASES: bool, L>(
         &mut self,
         supply: &Supply,
         late: bool,
@@ -334,12 +338,12 @@ where
         into: &impl Fn(S::Drive) -> L,
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
-        self.drive_all::<J, L>(supply, late, samples, into, legs)
+        self.drive_all::<J, PHASES, L>(supply, late, samples, into, legs)
     }
 
     /// Drives the legs of J joints while the motors are on and the supply is usable.
     #[inline(always)]
-    fn drive_all<const J: usize, L>(
+    fn drive_all<const J: usize, const PHASES: bool, L>(
         &mut self,
         supply: &Supply,
         late: bool,
@@ -350,7 +354,11 @@ where
         #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
         for i in 0..J {
             let joint = &mut self.joints[i];
-            let Some(drive) = joint.stage.drive_in_range(supply, samples[i], joint.steady_speed(), late) else {
+            let drive = match PHASES {
+                true => Some(drive_one(joint, supply, samples[i], late)),
+                false => joint.stage.drive_in_range(supply, samples[i], joint.steady_speed(), late),
+            };
+            let Some(drive) = drive else {
                 return self.drive_rest(i, supply, late, samples, into, legs);
             };
             self.now.motors.duty[i] = S::duty(drive);

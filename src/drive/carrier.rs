@@ -90,7 +90,7 @@ impl Ticks {
         match drive {
             MotorDrive::Bridge(duty) => LegTicks { pair: self.two_legs(duty), third: 0 },
             MotorDrive::ThreePhase { legs, .. } => {
-                let [first, second, third] = legs.map(|leg| (2.0 * self.half * leg + 0.5) as u16);
+                let [first, second, third] = legs.map(|leg| (2.0 * self.half * leg + 0.5) as u32 as u16);
                 LegTicks { pair: [first, second], third }
             }
         }
