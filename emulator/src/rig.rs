@@ -179,10 +179,10 @@ impl Rig {
         assert_eq!((status.state, status.fault), (State::Armed, None), "{status:?}");
     }
 
-    /// Checks the polarity of every joint.
+    /// Checks the polarity of every joint. The alignment of two three-phase motors takes half a minute.
     pub fn check_polarity(&mut self) {
         self.tool.check_polarity().expect("the polarity check starts");
-        for _ in 0..300 {
+        for _ in 0..600 {
             self.run(100 * MILLISECOND);
             let status = self.tool.status().expect("the board replies");
             if status.state != State::CheckingPolarity {
