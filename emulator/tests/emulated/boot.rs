@@ -26,8 +26,8 @@ fn check_serial_port(rig: &Rig) {
     let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
     let connected = at(&Event::Connected).expect("a pull-up");
     let opened = at(&Event::Opened).expect("an open port");
-    // RAM and the image are tested first, which takes 81 ms as compiled by Rust 1.95.
-    assert!(connected < 100 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
+    // RAM and the image are tested first, which takes 105 ms as compiled by Rust 1.95.
+    assert!(connected < 150 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
     assert!(opened - connected < 200 * MILLISECOND, "the enumeration takes {} ns", opened - connected);
 }
 
